@@ -1,0 +1,359 @@
+"""The scene graph: nodes and edges, changed by numbered deltas, with a remembered past."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Self
+
+import networkx as nx
+
+from scenegraph.errors import InvariantViolated, RevisionGap, UnknownNode, nearest
+from scenegraph.graph.delta import Delta, EdgeChanges, GraphChanges, NodeChanges, NodeDeletion, Snapshot
+from scenegraph.graph.edge import Edge, EdgeKey
+from scenegraph.graph.history import Change, History, Undo
+from scenegraph.graph.index import GraphIndex
+from scenegraph.graph.invariants import check_edges_have_ends, check_layers_stay, check_no_edge_is_left
+from scenegraph.graph.node import Layer, Node, Tombstone
+
+__all__ = ["SceneGraph"]
+
+
+class SceneGraph:
+    """A directed multigraph of typed nodes and relations.
+
+    Every change is a `commit`, carried out as a whole or not at all, at a cost that depends on the change and not on
+    the size of the graph; it yields a numbered `Delta`. Another graph that `apply`s the deltas equals this one. Deleted
+    nodes leave tombstones, kept for good (a few hundred bytes each). The past is kept as `History` states its bound.
+    Not thread-safe: one thread owns a graph. Nodes and edges are frozen and may be shared freely.
+    """
+
+    def __init__(self, *, history_limit: int = 100_000) -> None:
+        self._index = GraphIndex()
+        self._tombstones: dict[str, Tombstone] = {}
+        self._history = History(history_limit)
+        self._revision = 0
+        self._stamp_ns = 0
+
+    # -- reading ------------------------------------------------------------------------------------------------------
+
+    @property
+    def revision(self) -> int:
+        """How many changes made the graph; 0 when empty and new."""
+        return self._revision
+
+    @property
+    def stamp_ns(self) -> int:
+        """When the graph last changed; 0 when it never did."""
+        return self._stamp_ns
+
+    @property
+    def history(self) -> History:
+        """What is remembered of the past."""
+        return self._history
+
+    def nodes(self, layer: Layer | None = None, label: str | None = None) -> list[Node]:
+        """The nodes, of one layer or label if asked; oldest first. The cost depends on the result."""
+        return self._index.find_nodes(layer, label)
+
+    def edges(self, relation: str | None = None, source: str | None = None, target: str | None = None) -> list[Edge]:
+        """The edges that have the relation, source and target asked for. The cost depends on the result."""
+        return self._index.find_edges(relation, source, target)
+
+    def edges_of(self, node_id: str) -> list[Edge]:
+        """Every edge that begins or ends at the node."""
+        return list(self._index.edges_of(node_id))
+
+    def node(self, node_id: str) -> Node:
+        """The node of this id. Raises UnknownNode, whose hint says what became of it, or names the nearest ids."""
+        node = self._index.nodes.get(node_id)
+        if node is None:
+            raise UnknownNode(f"no node is called {node_id!r}", hint=self._hint(node_id))
+        return node
+
+    def edge(self, relation: str, source: str, target: str) -> Edge | None:
+        """The one edge of this key, or None."""
+        return self._index.edge(relation, source, target)
+
+    def tombstone(self, node_id: str) -> Tombstone | None:
+        """What became of a deleted node, or None when it lives or never lived."""
+        return self._tombstones.get(node_id)
+
+    def tombstones(self) -> list[Tombstone]:
+        """What became of all deleted nodes, oldest first."""
+        return list(self._tombstones.values())
+
+    def successor(self, node_id: str) -> Node | None:
+        """The living node that this id names today, through any merges; None when it vanished or never was."""
+        seen = set()
+        current: str | None = node_id
+        while current is not None and current not in seen:
+            node = self._index.nodes.get(current)
+            if node is not None:
+                return node
+            seen.add(current)
+            stone = self._tombstones.get(current)
+            current = stone.became if stone is not None else None
+        return None
+
+    def relations(self) -> list[str]:
+        """The names of the relations that join anything."""
+        return self._index.relations()
+
+    def labels(self) -> list[str]:
+        """The labels that any node has."""
+        return self._index.labels()
+
+    @property
+    def n_edges(self) -> int:
+        """Number of edges."""
+        return self._index.n_edges
+
+    def __len__(self) -> int:
+        return len(self._index.nodes)
+
+    def __contains__(self, item: object) -> bool:
+        """Whether a node of this id, or an edge of this `(relation, source, target)`, is in the graph."""
+        if isinstance(item, str):
+            return item in self._index.nodes
+        if isinstance(item, tuple) and len(item) == 3:
+            return self._index.edge(*item) is not None
+        return False
+
+    def __iter__(self) -> Iterator[Node]:
+        return iter(self._index.nodes.values())
+
+    def __bool__(self) -> bool:
+        return True  # an empty graph is still a graph: `graph or default` must not drop it
+
+    def __eq__(self, other: object) -> bool:
+        """Equal revision, nodes, edges and tombstones, in whatever order they came. The past does not count."""
+        if not isinstance(other, SceneGraph):
+            return NotImplemented
+        return (
+            self._revision == other._revision
+            and self._index.nodes == other._index.nodes
+            and self._index.n_edges == other._index.n_edges
+            and all(other._index.edge(*edge.key) == edge for edge in self._index.all_edges())
+            and self._tombstones == other._tombstones
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return f"SceneGraph(revision={self._revision}, nodes={len(self)}, edges={self.n_edges})"
+
+    def to_networkx(self) -> nx.MultiDiGraph:
+        """A copy as networkx graph: nodes by id, edges keyed by relation, both with their wire fields as data."""
+        graph = nx.MultiDiGraph(revision=self._revision, stamp_ns=self._stamp_ns)
+        for node in self:
+            graph.add_node(node.id, **node.model_dump(exclude={"id"}))
+        for edge in self._index.all_edges():
+            graph.add_edge(edge.source, edge.target, key=edge.relation, **edge.model_dump(exclude={"source", "target"}))
+        return graph
+
+    # -- changing -----------------------------------------------------------------------------------------------------
+
+    def commit(self, changes: GraphChanges, stamp_ns: int) -> Delta:
+        """Carry out the changes, all or none, and return what was changed.
+
+        Puts that change nothing are dropped; when nothing is left, the delta is empty and the revision stays. Deleting
+        a node deletes its edges. A `stamp_ns` before the last change's counts as that: the graph's past has one order.
+        Raises UnknownNode (deleting or becoming what is not there), DanglingEdge, InvariantViolated.
+        """
+        stamp_ns = max(stamp_ns, self._stamp_ns) if self._revision else stamp_ns
+        after = self._settle(changes, stamp_ns)
+        check_edges_have_ends(after.edges.values(), lambda i: self._lives(i, after), self._index.nodes)
+        check_layers_stay(self._index.nodes, after.nodes)
+        if not after.nodes and not after.edges:
+            return Delta.model_construct(revision=self._revision, stamp_ns=stamp_ns)
+        delta = Delta.model_construct(
+            revision=self._revision + 1,
+            stamp_ns=stamp_ns,
+            nodes=NodeChanges.model_construct(
+                put=tuple(node for node in after.nodes.values() if node is not None),
+                deleted=tuple(node_id for node_id, node in after.nodes.items() if node is None),
+            ),
+            edges=EdgeChanges.model_construct(
+                put=tuple(edge for edge in after.edges.values() if edge is not None),
+                deleted=tuple(key for key, edge in after.edges.items() if edge is None),
+            ),
+            tombstones=tuple(stone for stone in after.tombstones.values() if stone is not None),
+        )
+        self._carry_out(after, delta.revision, stamp_ns)
+        return delta
+
+    def apply(self, delta: Delta) -> None:
+        """Follow another graph by its delta, all or nothing.
+
+        Raises RevisionGap when the delta is not the next one, InvariantViolated when it does not fit this graph. An
+        empty delta of the current revision changes nothing.
+        """
+        if delta.revision == self._revision and not delta:
+            return
+        if delta.revision != self._revision + 1:
+            raise RevisionGap(self._revision, delta.revision)
+        after = Change(
+            nodes={**dict.fromkeys(delta.nodes.deleted), **{node.id: node for node in delta.nodes.put}},
+            edges={**dict.fromkeys(delta.edges.deleted), **{edge.key: edge for edge in delta.edges.put}},
+            tombstones={**dict.fromkeys(node.id for node in delta.nodes.put if node.id in self._tombstones)},
+        )
+        after.tombstones.update((stone.id, stone) for stone in delta.tombstones)
+        for node_id in delta.nodes.deleted:
+            if node_id not in self._index.nodes:
+                raise InvariantViolated(f"delta {delta.revision} deletes {node_id!r}, which is not there")
+        for key in delta.edges.deleted:
+            if self._index.edge(*key) is None:
+                raise InvariantViolated(
+                    f"delta {delta.revision} deletes {key.relation}({key.source}, {key.target}), which is not there"
+                )
+        check_edges_have_ends(after.edges.values(), lambda i: self._lives(i, after), self._index.nodes)
+        check_layers_stay(self._index.nodes, after.nodes)
+        check_no_edge_is_left(delta.nodes.deleted, self._index.edges_of, after.edges)
+        self._carry_out(after, delta.revision, delta.stamp_ns)
+
+    def _settle(self, changes: GraphChanges, stamp_ns: int) -> Change:
+        """What the graph will differ in once the wishes are carried out in order."""
+        index = self._index
+        nodes: dict[str, Node | None] = {}
+        edges: dict[EdgeKey, Edge | None] = {}
+        put_at: dict[str, list[EdgeKey]] = {}
+        stones: dict[str, Tombstone] = {}
+        for step in changes.steps:
+            if isinstance(step, Node):
+                nodes[step.id] = step
+            elif isinstance(step, Edge):
+                key = step.key
+                edges[key] = step
+                put_at.setdefault(step.source, []).append(key)
+                put_at.setdefault(step.target, []).append(key)
+            elif isinstance(step, NodeDeletion):
+                if nodes.get(step.id, index.nodes.get(step.id)) is None or (
+                    step.id in nodes and nodes[step.id] is None
+                ):
+                    raise UnknownNode(f"cannot delete {step.id!r}: no node is called so", hint=self._hint(step.id))
+                nodes[step.id] = None
+                edges.update((edge.key, None) for edge in index.edges_of(step.id))
+                edges.update((key, None) for key in put_at.pop(step.id, ()))
+                stones[step.id] = Tombstone(id=step.id, became=step.became, reason=step.reason, stamp_ns=stamp_ns)
+            else:
+                edges[step] = None
+        nodes = {i: node for i, node in nodes.items() if index.nodes.get(i) != node}
+        edges = {key: edge for key, edge in edges.items() if index.edge(*key) != edge}
+        tombstones: dict[str, Tombstone | None] = {}
+        for node_id, node in nodes.items():
+            if node is None:
+                tombstones[node_id] = stones[node_id]
+            elif node_id in self._tombstones:
+                tombstones[node_id] = None
+        after = Change(nodes, edges, tombstones)
+        self._check_becoming(after)
+        return after
+
+    def _check_becoming(self, after: Change) -> None:
+        """What a node became lives, or has a tombstone of its own."""
+        for stone in after.tombstones.values():
+            if stone is None or stone.became is None:
+                continue
+            if stone.became == stone.id:
+                raise InvariantViolated(f"{stone.id} cannot become itself")
+            if not (
+                self._lives(stone.became, after)
+                or after.tombstones.get(stone.became)
+                or stone.became in self._tombstones
+            ):
+                raise UnknownNode(
+                    f"{stone.id} cannot become {stone.became!r}: no node is called so", hint=self._hint(stone.became)
+                )
+
+    def _lives(self, node_id: str, after: Change) -> bool:
+        """Whether the node exists once the change is carried out."""
+        return (after.nodes[node_id] is not None) if node_id in after.nodes else node_id in self._index.nodes
+
+    def _carry_out(self, after: Change, revision: int, stamp_ns: int) -> None:
+        """Install a checked change and remember what it replaced."""
+        index = self._index
+        before = Change(
+            nodes={i: index.nodes.get(i) for i in after.nodes},
+            edges={key: index.edge(*key) for key in after.edges},
+            tombstones={i: self._tombstones.get(i) for i in after.tombstones},
+        )
+        self._install(after)
+        self._history.remember(Undo(revision, stamp_ns, self._stamp_ns, before))
+        self._revision = revision
+        self._stamp_ns = stamp_ns
+
+    def _install(self, after: Change) -> None:
+        index = self._index
+        for key, edge in after.edges.items():
+            if edge is not None:
+                index.put_edge(edge)
+            elif index.edge(*key) is not None:
+                index.drop_edge(key)
+        for node_id, node in after.nodes.items():
+            if node is not None:
+                index.put_node(node)
+            elif node_id in index.nodes:
+                index.drop_node(node_id)
+        for node_id, stone in after.tombstones.items():
+            self._tombstones.pop(node_id, None)
+            if stone is not None:
+                self._tombstones[node_id] = stone
+
+    # -- the whole, and the past --------------------------------------------------------------------------------------
+
+    def as_of(self, stamp_ns: int) -> SceneGraph:
+        """A graph of its own as this one was at that time: after the last change stamped `stamp_ns` or earlier.
+
+        Costs the size of the graph and of the changes since. Its own history begins there.
+        Raises HistoryUnavailable when the time lies before the remembered past.
+        """
+        steps = self._history.since(stamp_ns, self._revision, self._stamp_ns)
+        graph = SceneGraph.from_snapshot(self.snapshot(), history_limit=self._history.limit)
+        for undo in steps:
+            graph._install(undo.before)
+            graph._revision = undo.revision - 1
+            graph._stamp_ns = undo.previous_stamp_ns
+        return graph
+
+    def snapshot(self) -> Snapshot:
+        """The whole graph as one value."""
+        return Snapshot.model_construct(
+            revision=self._revision,
+            stamp_ns=self._stamp_ns,
+            nodes=tuple(self._index.nodes.values()),
+            edges=tuple(self._index.all_edges()),
+            tombstones=tuple(self._tombstones.values()),
+        )
+
+    @classmethod
+    def from_snapshot(
+        cls, snapshot: Snapshot, *, history: list[Any] | None = None, history_limit: int = 100_000
+    ) -> Self:
+        """A graph with the snapshot's contents; `history` is what `graph.history.document()` gave.
+
+        Without it the past begins at the snapshot. Raises InvariantViolated when the snapshot is not a consistent
+        graph.
+        """
+        graph = cls(history_limit=history_limit)
+        for node in snapshot.nodes:
+            if node.id in graph._index.nodes:
+                raise InvariantViolated(f"snapshot: node {node.id!r} is there twice")
+            graph._index.put_node(node)
+        check_edges_have_ends(snapshot.edges, graph._index.nodes.__contains__, graph._index.nodes)
+        for edge in snapshot.edges:
+            graph._index.put_edge(edge)
+        if graph.n_edges != len(snapshot.edges):
+            raise InvariantViolated("snapshot: an edge is there twice")
+        graph._tombstones = {stone.id: stone for stone in snapshot.tombstones}
+        if history is not None:
+            graph._history = History.from_document(history, history_limit)
+        graph._revision = snapshot.revision
+        graph._stamp_ns = snapshot.stamp_ns
+        return graph
+
+    def _hint(self, node_id: str) -> str | None:
+        stone = self._tombstones.get(node_id)
+        if stone is not None:
+            return f"it became {stone.became}: {stone.reason}" if stone.became else f"it is no more: {stone.reason}"
+        names = nearest(node_id, self._index.nodes)
+        return f"nearest ids: {', '.join(names)}" if names else None
