@@ -5,7 +5,7 @@ SHELL := /bin/bash
 
 VENV   := .venv
 BIN    := $(VENV)/bin
-PYTHON ?= $(shell command -v python3.12 || command -v python3.11 || command -v python3.13 || command -v python3)
+PYTHON ?= $(or $(shell command -v python3.12 || command -v python3.11 || command -v python3.13),python3)
 SYSTEM := swi-prolog-nox libegl1 libgl1 libx11-6 libusb-1.0-0
 
 .PHONY: help demo test check format bench setup system clean
