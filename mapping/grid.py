@@ -1,0 +1,207 @@
+"""Every index ⇄ point conversion, and the hashed store of 8³-voxel blocks that all voxel layers stand on.
+
+Voxel (i, j, k) covers [i·v, (i+1)·v) along each axis; its centre is (i + ½)·v. Block = voxel >> 3. Within a block the
+linear index is lx·64 + ly·8 + lz. (After Nießner et al., Real-time 3D Reconstruction at Scale using Voxel Hashing,
+2013.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from mapping.errors import InvalidParameter, MappingError
+from mapping.kernels import hashing
+
+Array: TypeAlias = NDArray[Any]
+
+BLOCK_EDGE = 8
+"""Voxels along a block's edge."""
+BLOCK_VOXELS = BLOCK_EDGE**3
+
+LOCAL_IJK: NDArray[np.int32] = np.stack(np.unravel_index(np.arange(BLOCK_VOXELS), (BLOCK_EDGE,) * 3), axis=1).astype(
+    np.int32
+)
+"""(512, 3): position within the block of each linear index."""
+LOCAL_IJK.setflags(write=False)
+
+
+def as_points(points: ArrayLike, name: str = "p_map") -> NDArray[np.float64]:
+    """`points` as contiguous (N, 3) float64; raises `InvalidParameter` on another shape."""
+    array = np.ascontiguousarray(points, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InvalidParameter(f"{name}: expected points (N, 3), got an array of shape {array.shape}")
+    return array
+
+
+def as_blocks(block_ijk: ArrayLike) -> NDArray[np.int32]:
+    """`block_ijk` as contiguous (K, 3) int32; raises `InvalidParameter` on another shape."""
+    array = np.asarray(block_ijk)
+    if array.size == 0:
+        return np.empty((0, 3), np.int32)
+    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "iu":
+        raise InvalidParameter(f"block_ijk: expected integers (K, 3), got {array.dtype} of shape {array.shape}")
+    if max(-int(array.min()), int(array.max()) + 1) > hashing.BLOCK_LIMIT:
+        raise InvalidParameter(
+            f"block_ijk: expected indices within ±{hashing.BLOCK_LIMIT}, got {int(np.abs(array).max())}"
+        )
+    return np.ascontiguousarray(array, dtype=np.int32)
+
+
+def point_to_ijk(p_map: ArrayLike, voxel_size_m: float) -> NDArray[np.int32]:
+    """The voxel (N, 3) that holds each point (N, 3) [m]."""
+    return np.floor(np.asarray(p_map, dtype=np.float64) * (1.0 / voxel_size_m)).astype(np.int32)
+
+
+def ijk_to_centre(ijk: ArrayLike, voxel_size_m: float) -> NDArray[np.float64]:
+    """The centre (N, 3) [m] of each voxel (N, 3)."""
+    return (np.asarray(ijk, dtype=np.float64) + 0.5) * voxel_size_m
+
+
+def split_ijk(ijk: ArrayLike) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Voxels (N, 3) → their blocks (N, 3) and linear index within the block (N,)."""
+    voxels = np.asarray(ijk)
+    inside = (voxels & (BLOCK_EDGE - 1)).astype(np.int64)
+    return (voxels >> 3).astype(np.int32), inside[..., 0] << 6 | inside[..., 1] << 3 | inside[..., 2]
+
+
+def join_ijk(block_ijk: ArrayLike, local: ArrayLike) -> NDArray[np.int32]:
+    """Blocks (N, 3) and linear indices within them (N,) → voxels (N, 3)."""
+    voxels: NDArray[np.int32] = (np.asarray(block_ijk, dtype=np.int32) << 3) + LOCAL_IJK[np.asarray(local)]
+    return voxels
+
+
+class BlockStore:
+    """Blocks of 8³ voxels, found by a hash of their index, each field an array of its own; grows by doubling.
+
+    fields        name → dtype; a sub-array dtype such as `("u2", 3)` gives a field of shape (capacity, 512, 3)
+    voxel_size_m  edge of a voxel [m]
+    fill          value of a field in a new block (default 0), such as the code of *unknown*
+
+    Slots are given in the order in which blocks are asked for and never move, so that equal calls give equal stores.
+    Kernels take `store.table` (see `mapping.kernels.hashing.lookup`) and the arrays of `store.fields`; both are
+    replaced when the store grows: read them anew after `allocate`.
+    """
+
+    def __init__(
+        self, fields: Mapping[str, DTypeLike], voxel_size_m: float, *, fill: Mapping[str, int | float] | None = None
+    ) -> None:
+        if not (np.isfinite(voxel_size_m) and voxel_size_m > 0.0):
+            raise InvalidParameter(f"voxel_size_m: expected a length > 0 m, got {voxel_size_m!r}")
+        self.voxel_size_m = float(voxel_size_m)
+        self._dtypes = {name: np.dtype(dtype) for name, dtype in fields.items()}
+        self._fill = {name: (fill or {}).get(name, 0) for name in self._dtypes}
+        self._capacity = 0
+        self._n_blocks = 0
+        self._stored_ijk: NDArray[np.int32] = np.empty((0, 3), np.int32)
+        self.fields: dict[str, Array] = {name: self._filled(name, 0) for name in self._dtypes}
+        self.changed_at: NDArray[np.int64] = np.zeros(0, np.int64)
+        """(capacity,) the revision of its layer at which each block last changed."""
+        self.table: NDArray[np.int64] = np.full((64, 2), -1, np.int64)
+
+    # -- what is there ------------------------------------------------------------------------------------
+    @property
+    def n_blocks(self) -> int:
+        return self._n_blocks
+
+    @property
+    def block_ijk(self) -> NDArray[np.int32]:
+        """(n_blocks, 3) index of each block, in slot order (a view: do not write)."""
+        return self._stored_ijk[: self._n_blocks]
+
+    @property
+    def block_size_m(self) -> float:
+        return BLOCK_EDGE * self.voxel_size_m
+
+    @property
+    def memory_bytes(self) -> int:
+        """Bytes held by all arrays, room to grow included."""
+        return (
+            sum(field.nbytes for field in self.fields.values())
+            + self.table.nbytes
+            + self._stored_ijk.nbytes
+            + self.changed_at.nbytes
+        )
+
+    def used(self, name: str) -> Array:
+        """(n_blocks, 512, …) the field of the blocks that exist (a view)."""
+        return self.fields[name][: self._n_blocks]
+
+    def find(self, block_ijk: ArrayLike) -> NDArray[np.int64]:
+        """The slot (K,) of each block (K, 3), −1 where there is none."""
+        blocks = as_blocks(block_ijk)
+        slots = np.empty(len(blocks), np.int64)
+        hashing.find_all(self.table, blocks, slots)
+        return slots
+
+    def locate(self, p_map: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Slot (N,) (−1: no block) and index within the block (N,) of the voxel that holds each point (N, 3) [m]."""
+        points = as_points(p_map)
+        slots = np.empty(len(points), np.int64)
+        local = np.empty(len(points), np.int64)
+        hashing.locate(self.table, points, 1.0 / self.voxel_size_m, slots, local)
+        return slots, local
+
+    # -- growth -------------------------------------------------------------------------------------------
+    def allocate(self, block_ijk: ArrayLike) -> NDArray[np.int64]:
+        """The slot (K,) of each block (K, 3); blocks that are not there yet are added, filled. Repeats are fine."""
+        blocks = as_blocks(block_ijk)
+        slots = np.empty(len(blocks), np.int64)
+        missing = hashing.find_all(self.table, blocks, slots)
+        if missing:
+            self._reserve(self._n_blocks + missing)
+            self._n_blocks = hashing.insert_all(self.table, self._stored_ijk, self._n_blocks, blocks, slots)
+        return slots
+
+    def _filled(self, name: str, n: int) -> Array:
+        if self._fill[name] == 0:
+            return np.zeros((n, BLOCK_VOXELS), self._dtypes[name])
+        return np.full((n, BLOCK_VOXELS, *self._dtypes[name].shape), self._fill[name], self._dtypes[name].base)
+
+    def _reserve(self, n: int) -> None:
+        if n <= self._capacity:
+            return
+        capacity = max(64, self._capacity)
+        while capacity < n:
+            capacity *= 2
+        for name in self.fields:
+            grown = self._filled(name, capacity)
+            grown[: self._n_blocks] = self.used(name)
+            self.fields[name] = grown
+        self.changed_at = np.concatenate([self.changed_at, np.zeros(capacity - self._capacity, np.int64)])
+        stored = np.empty((capacity, 3), np.int32)
+        stored[: self._n_blocks] = self.block_ijk
+        self._stored_ijk = stored
+        self._capacity = capacity
+        self.table = np.full((2 * capacity, 2), -1, np.int64)
+        hashing.refill(self.table, self._stored_ijk, self._n_blocks)
+
+    # -- state --------------------------------------------------------------------------------------------
+    def state(self) -> dict[str, Array]:
+        """Copies of the arrays that make this store: `block_ijk` and each field."""
+        return {"block_ijk": self.block_ijk.copy(), **{name: self.used(name).copy() for name in self.fields}}
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Take over what `state()` gave, into an empty store; raises `MappingError` where it does not fit."""
+        if self._n_blocks:
+            raise MappingError("a state can only be restored into an empty store")
+        missing = [name for name in ("block_ijk", *self.fields) if name not in state]
+        if missing:
+            raise MappingError(f"the saved map lacks {', '.join(missing)}")
+        blocks = as_blocks(state["block_ijk"])
+        for name in self.fields:
+            expected = (len(blocks), BLOCK_VOXELS, *self._dtypes[name].shape)
+            values = state[name]
+            if values.shape != expected or values.dtype != self._dtypes[name].base:
+                raise MappingError(
+                    f"the saved map's {name}: expected {self._dtypes[name].base} of shape {expected}, "
+                    f"got {values.dtype} of shape {values.shape}"
+                )
+        self.allocate(blocks)
+        if self._n_blocks != len(blocks):
+            raise MappingError("the saved map names a block twice")
+        for name in self.fields:
+            self.used(name)[:] = state[name]
