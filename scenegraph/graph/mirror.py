@@ -43,7 +43,7 @@ class Mirror:
         if delta.revision <= revision:
             began_anew = delta.stamp_ns > self._graph.stamp_ns and bool(delta)
             return self._catch_up(delta) if began_anew else False
-        if delta.revision > revision + 1:
+        if delta.revision > revision + 1 or not delta:  # an empty delta repeats a revision: we missed that one
             return self._catch_up(delta)
         try:
             self._graph.apply(delta)

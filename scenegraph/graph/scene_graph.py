@@ -190,7 +190,7 @@ class SceneGraph:
         """
         if delta.revision == self._revision and not delta:
             return
-        if delta.revision != self._revision + 1:
+        if delta.revision != self._revision + 1 or not delta:
             raise RevisionGap(self._revision, delta.revision)
         after = Change(
             nodes={**dict.fromkeys(delta.nodes.deleted), **{node.id: node for node in delta.nodes.put}},
@@ -227,9 +227,7 @@ class SceneGraph:
                 put_at.setdefault(step.source, []).append(key)
                 put_at.setdefault(step.target, []).append(key)
             elif isinstance(step, NodeDeletion):
-                if nodes.get(step.id, index.nodes.get(step.id)) is None or (
-                    step.id in nodes and nodes[step.id] is None
-                ):
+                if step.id not in nodes and step.id not in index.nodes:
                     raise UnknownNode(f"cannot delete {step.id!r}: no node is called so", hint=self._hint(step.id))
                 nodes[step.id] = None
                 edges.update((edge.key, None) for edge in index.edges_of(step.id))
@@ -242,28 +240,37 @@ class SceneGraph:
         tombstones: dict[str, Tombstone | None] = {}
         for node_id, node in nodes.items():
             if node is None:
-                tombstones[node_id] = stones[node_id]
+                tombstones[node_id] = self._last_words(stones[node_id], stones, nodes)
             elif node_id in self._tombstones:
                 tombstones[node_id] = None
         after = Change(nodes, edges, tombstones)
         self._check_becoming(after)
         return after
 
+    def _last_words(self, stone: Tombstone, stones: dict[str, Tombstone], nodes: dict[str, Node | None]) -> Tombstone:
+        """The stone, looking past nodes that these changes both put and deleted: nobody ever heard of those."""
+        became, seen = stone.became, {stone.id}
+        while became in stones and became not in nodes and became not in self._index.nodes and became not in seen:
+            seen.add(became)
+            became = stones[became].became
+        return stone if became == stone.became else stone.model_copy(update={"became": became})
+
     def _check_becoming(self, after: Change) -> None:
-        """What a node became lives, or has a tombstone of its own."""
+        """What a node became lives, or has a tombstone of its own; nothing becomes itself, however indirectly."""
         for stone in after.tombstones.values():
             if stone is None or stone.became is None:
                 continue
-            if stone.became == stone.id:
-                raise InvariantViolated(f"{stone.id} cannot become itself")
-            if not (
-                self._lives(stone.became, after)
-                or after.tombstones.get(stone.became)
-                or stone.became in self._tombstones
-            ):
-                raise UnknownNode(
-                    f"{stone.id} cannot become {stone.became!r}: no node is called so", hint=self._hint(stone.became)
-                )
+            heir, seen = stone.became, {stone.id}
+            while not self._lives(heir, after):
+                next_stone = after.tombstones.get(heir) or self._tombstones.get(heir)
+                if next_stone is None:
+                    raise UnknownNode(f"{stone.id} cannot become {heir!r}: no node is called so", hint=self._hint(heir))
+                if heir in seen:
+                    raise InvariantViolated(f"{stone.id} cannot become {stone.became}: that became {stone.id}")
+                if next_stone.became is None:
+                    break
+                seen.add(heir)
+                heir = next_stone.became
 
     def _lives(self, node_id: str, after: Change) -> bool:
         """Whether the node exists once the change is carried out."""

@@ -35,11 +35,21 @@ def valid_identifier(text: str) -> bool:
 
 
 class Value(BaseModel):
-    """A frozen value, compared by content. A bad field raises `InvalidGraphValue` in one line."""
+    """A frozen value, compared by content. A bad field raises `InvalidGraphValue` in one line.
 
-    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+    Unknown fields are refused when a program names them and ignored when they are read from the wire, where a newer
+    server may have added some.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="ignore", arbitrary_types_allowed=True)
 
     def __init__(self, **fields: Any) -> None:
+        unknown = fields.keys() - type(self).model_fields.keys()
+        if unknown:
+            name = type(self).__name__
+            raise InvalidGraphValue(
+                f"{name}: no such field: {', '.join(sorted(unknown))}; it has {', '.join(type(self).model_fields)}"
+            )
         try:
             super().__init__(**fields)
         except ValidationError as error:
