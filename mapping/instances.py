@@ -1,0 +1,214 @@
+"""Instances that last: the masks of single images, joined over views by their overlap in space.
+
+After Voxblox++ (Grinvald et al. 2019): every fine voxel votes for the instance it belongs to; a mask is the instance on
+whose voxels most of it lies, or a new one. Two instances that are seen through one mask again and again are merged.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapping.geometry import SE3, CameraIntrinsics
+from mapping.grid import BlockStore
+from mapping.kernels import votes as kernels
+from mapping.layer import MapLayer, require
+from mapping.segmentation import Segmentation
+from mapping.semantics import camera_row, pose_rows
+
+Array: TypeAlias = NDArray[Any]
+
+SAME_SHARE = 0.2
+"""A mask is a known instance of its class when this share of its pixels lies on that instance's voxels …"""
+OTHER_CLASS_SHARE = 0.5
+"""… and of another class when this much does: a mislabelled view, but not a cup in front of a bottle."""
+MERGE_SHARE = 0.25
+MERGE_VIEWS = 3
+"""Two instances of a class become one after this many views, net of contrary ones, in which a mask of one covers at
+least MERGE_SHARE of itself with the other."""
+LEAST_WEIGHT = 0.15
+LEAST_SHARE = 0.5
+"""A voxel belongs to an instance that holds this many votes (about: full views) and this share of all its votes."""
+
+
+@dataclass
+class Instance:
+    """What is known of one instance besides its voxels."""
+
+    id: int
+    first_seen_ns: int
+    last_seen_ns: int
+    views: int = 0
+    labels: dict[int, float] = field(default_factory=dict)
+    slots: set[int] = field(default_factory=set)
+
+    @property
+    def label(self) -> int:
+        """The class id with most votes (ties: the lowest id)."""
+        return min(self.labels, key=lambda c: (-self.labels[c], c))
+
+    @property
+    def label_share(self) -> float:
+        return self.labels[self.label] / sum(self.labels.values())
+
+
+@dataclass(frozen=True)
+class InstanceChange:
+    """Instances that got or lost voxels, and those that were merged: lost id → kept id."""
+
+    touched: frozenset[int]
+    merged: dict[int, int]
+
+
+class InstanceMap(MapLayer):
+    """Votes of fine voxels for instances, with the mean of the points that fell into each."""
+
+    kind = "instances"
+
+    def __init__(self, *, voxel_size_m: float, memory: float = 50.0) -> None:
+        self.memory = require("memory", memory, 0.0, 1e6)
+        self.store = BlockStore(
+            {
+                "instance": "u4", "weight": "f4", "second": "u4", "second_weight": "f4", "total": "f4",
+                "mean": ("f4", 3),
+            },  # fmt: skip
+            voxel_size_m,
+        )
+        self.instances: dict[int, Instance] = {}
+        self._next_id = 1
+        self._together: defaultdict[tuple[int, int], int] = defaultdict(int)
+
+    def parameters(self) -> dict[str, Any]:
+        return {"voxel_size_m": self.voxel_size_m, "memory": self.memory}
+
+    def integrate_image(
+        self, seen: Segmentation, depth_m: Array, intrinsics: CameraIntrinsics, T_map_camera: SE3, stamp_ns: int
+    ) -> InstanceChange:
+        """Join the pieces of one image to lasting instances and count their votes."""
+        camera, pose = camera_row(intrinsics), pose_rows(T_map_camera)
+        ids, together = self._associate(seen, depth_m, camera, pose)
+        for piece, instance_id in enumerate(ids.tolist()):
+            if instance_id:
+                self._witness(instance_id, int(seen.label[piece]), int(seen.pixels[piece]), stamp_ns)
+
+        choices = np.concatenate([[0], ids]).astype(np.uint32)[seen.pieces]
+        blocks = kernels.touched_blocks(depth_m, choices != 0, camera, pose, self.voxel_size_m, 1)
+        slots = self.store.allocate(blocks)
+        background = (seen.labels != 0) & (seen.pieces == 0)
+        choices[background] = BACKGROUND
+        table, fields = self.store.table, self.store.fields
+        trust = np.ascontiguousarray(seen.trust, dtype=np.float32)
+        kernels.place_image(table, fields["total"], fields["mean"], depth_m, choices, trust, camera, pose, self.voxel_size_m, 8.0)
+        kernels.vote_image(
+            table, *(fields[n] for n in ("instance", "weight", "second", "second_weight", "total")), depth_m, choices, trust,
+            camera, pose, self.voxel_size_m, self.memory,
+        )
+        pairs = kernels.blocks_of_choices(table, depth_m, choices, camera, pose, self.voxel_size_m, 1)
+        touched = self._claim(pairs)
+        self._note(slots)
+        return InstanceChange(frozenset(touched), self._merge(together))
+
+    # -- association --------------------------------------------------------------------------------------
+    def _associate(self, seen: Segmentation, depth_m: Array, camera: Array, pose: Array) -> tuple[Array, list[tuple[int, int]]]:
+        """The instance (n,) of each piece, 0 for a piece that is too small to found one, and pairs seen through one mask."""
+        fields = self.store.fields
+        piece, known, hits, looked = kernels.count_overlaps(
+            self.store.table, fields["instance"], fields["weight"], fields["total"], depth_m, seen.pieces, camera, pose,
+            self.voxel_size_m, 2, len(seen),
+        )
+        piece = piece - 1
+        share = hits / np.maximum(looked[piece], 1)
+        real = known != BACKGROUND
+        piece, known, hits, share = piece[real], known[real], hits[real], share[real]
+        same = np.array([self.instances[k].label == seen.label[p] for p, k in zip(piece, known, strict=True)], dtype=bool)
+        fits = share >= np.where(same, SAME_SHARE, OTHER_CLASS_SHARE)
+
+        ids = np.zeros(len(seen), np.int64)
+        taken: set[int] = set()
+        for at in np.lexsort((known, piece, -(hits * np.where(same, 1.5, 1.0)))):
+            if fits[at] and not ids[piece[at]] and int(known[at]) not in taken:
+                ids[piece[at]] = known[at]
+                taken.add(int(known[at]))
+        for p in np.flatnonzero(ids == 0):
+            if seen.pixels[p] >= 100:
+                ids[p] = self._next_id
+                self._next_id += 1
+        together = [
+            (int(ids[p]), int(k))
+            for p, k, s, same_class in zip(piece, known, share, same, strict=True)
+            if s >= MERGE_SHARE and same_class and ids[p] and int(k) != ids[p]
+        ]
+        for pair in self._together:
+            if taken.issuperset(pair):  # two masks in one image: two things
+                self._together[pair] -= 1
+        return ids, together
+
+    def _witness(self, instance_id: int, label: int, pixels: int, stamp_ns: int) -> None:
+        known = self.instances.get(instance_id)
+        if known is None:
+            known = self.instances[instance_id] = Instance(instance_id, stamp_ns, stamp_ns)
+        known.last_seen_ns = max(known.last_seen_ns, stamp_ns)
+        known.views += 1
+        known.labels[label] = known.labels.get(label, 0.0) + min(1.0, pixels / 400.0)
+
+    def _claim(self, pairs: Array) -> set[int]:
+        """Note the blocks in which each instance has votes; returns all instances with voxels in blocks that changed."""
+        touched: set[int] = set()
+        pairs = pairs[pairs[:, 0] != BACKGROUND]
+        packed = np.unique(pairs[:, 0] << 32 | pairs[:, 1])
+        for instance_id in np.unique(packed >> 32).tolist():
+            self.instances[instance_id].slots.update((packed[packed >> 32 == instance_id] & 0xFFFFFFFF).tolist())
+            touched.add(instance_id)
+        return touched
+
+    def _merge(self, together: list[tuple[int, int]]) -> dict[int, int]:
+        merged: dict[int, int] = {}
+        for one, other in together:
+            pair = (min(one, other), max(one, other))
+            self._together[pair] += 1
+            if self._together[pair] >= MERGE_VIEWS and pair[0] in self.instances and pair[1] in self.instances:
+                self._absorb(*pair)
+                merged[pair[1]] = pair[0]
+        return merged
+
+    def _absorb(self, kept: int, lost: int) -> None:
+        a, b = self.instances[kept], self.instances.pop(lost)
+        slots = np.fromiter(b.slots, np.int64, len(b.slots))
+        fields = self.store.fields
+        kernels.rename(
+            slots, fields["instance"], fields["weight"], fields["second"], fields["second_weight"], lost, kept
+        )
+        a.slots |= b.slots
+        a.first_seen_ns, a.last_seen_ns = min(a.first_seen_ns, b.first_seen_ns), max(a.last_seen_ns, b.last_seen_ns)
+        a.views += b.views
+        for label, votes in b.labels.items():
+            a.labels[label] = a.labels.get(label, 0.0) + votes
+        for pair in [p for p in self._together if lost in p]:
+            del self._together[pair]
+
+    # -- what is there ------------------------------------------------------------------------------------
+    def points(self, instance_id: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Surface points (N, 3) [m], one a voxel that the instance has won, and their votes (N,)."""
+        slots = np.sort(np.fromiter(self.instances[instance_id].slots, np.int64))
+        fields = self.store.fields
+        points, weights = kernels.gather(
+            slots, self.block_ijk, fields["instance"], fields["weight"], fields["total"], fields["mean"], instance_id,
+            self.voxel_size_m, LEAST_WEIGHT, LEAST_SHARE,
+        )
+        return points, weights
+
+    def query(self, p_map: ArrayLike) -> NDArray[np.uint32]:
+        """The instance (N,) that holds each point (N, 3) [m]; 0 where none does."""
+        slots, local = self.store.locate(p_map)
+        if not self.store.n_blocks:
+            return np.zeros(len(slots), np.uint32)
+        found = self.store.fields["instance"][np.where(slots >= 0, slots, 0), local]
+        return np.where((slots >= 0) & (found != BACKGROUND), found, 0).astype(np.uint32)
+
+
+BACKGROUND = 0xFFFFFFFF
+"""The vote of labelled surface that is no instance: walls, floors."""

@@ -1,0 +1,290 @@
+"""Votes of labelled pixels for the voxels in which their points lie.
+
+A pixel's vote weighs the share of a voxel's face that the pixel covers, (z/f)² / v², so that a full view of a voxel
+counts about one whatever the distance, and less near the boundary of its mask, where masks are wrong most often.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mapping.kernels.hashing import find_or_insert, lookup
+
+Array = NDArray[Any]
+
+
+@njit(cache=True)
+def touched_blocks(depth: Array, wanted: Array, camera: Array, pose: Array, voxel: float, step: int) -> Array:
+    """The blocks (K, 3) int32 in which the points of the wanted pixels lie, each once, in order of appearance.
+
+    depth  : (H, W) float32 [m];  wanted : (H, W) bool
+    camera : (4,) fx, fy, cx, cy;  pose : (3, 4) camera in map;  voxel : edge [m];  step : every n-th row and column
+    """
+    height, width = depth.shape
+    edge = 8.0 * voxel
+    found = np.empty((1024, 3), dtype=np.int32)
+    table = np.full((4096, 2), -1, dtype=np.int64)
+    n = 0
+    last_i = last_j = last_k = 1 << 30
+    for v in range(0, height, step):
+        for u in range(0, width, step):
+            if not wanted[v, u]:
+                continue
+            z = depth[v, u]
+            x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
+            i = int(np.floor((pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) / edge))
+            j = int(np.floor((pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) / edge))
+            k = int(np.floor((pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]) / edge))
+            if i == last_i and j == last_j and k == last_k:
+                continue
+            last_i, last_j, last_k = i, j, k
+            if find_or_insert(table, i, j, k, n) == n:
+                if n == len(found):
+                    found = np.concatenate((found, np.empty_like(found)))
+                found[n, 0], found[n, 1], found[n, 2] = i, j, k
+                n += 1
+                if 2 * n > len(table):
+                    table = np.full((2 * len(table), 2), -1, dtype=np.int64)
+                    for b in range(n):
+                        find_or_insert(table, found[b, 0], found[b, 1], found[b, 2], b)
+    return found[:n].copy()
+
+
+@njit(cache=True, inline="always")
+def _vote(first: Array, first_weight: Array, second: Array, second_weight: Array, s: int, l: int, choice: int, w: float) -> None:
+    """Count one vote in voxel (s, l): the leader and a contender are kept, a third choice wears the contender down
+    (Misra & Gries 1982 with two counters)."""
+    if choice == first[s, l]:
+        first_weight[s, l] += w
+    elif first_weight[s, l] == 0.0:
+        first[s, l] = choice
+        first_weight[s, l] = w
+    else:
+        if choice == second[s, l]:
+            second_weight[s, l] += w
+        elif second_weight[s, l] >= w:
+            second_weight[s, l] -= w
+        else:
+            second[s, l] = choice
+            second_weight[s, l] = w - second_weight[s, l]
+        if second_weight[s, l] > first_weight[s, l]:
+            first[s, l], second[s, l] = second[s, l], first[s, l]
+            first_weight[s, l], second_weight[s, l] = second_weight[s, l], first_weight[s, l]
+
+
+@njit(cache=True)
+def vote_points(
+    table: Array, first: Array, first_weight: Array, second: Array, second_weight: Array, total: Array,
+    p_map: Array, choices: Array, weights: Array, voxel: float, limit: float,
+) -> None:
+    """Votes of points, in place. p_map (N, 3) [m], choices (N,) with 0 = no vote, weights (N,)."""
+    for n in range(len(p_map)):
+        if choices[n] == 0 or not weights[n] > 0.0:
+            continue
+        i, j, k = (int(np.floor(p_map[n, a] / voxel)) for a in range(3))
+        s = lookup(table, i >> 3, j >> 3, k >> 3)
+        if s < 0:
+            continue
+        l = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
+        _vote(first, first_weight, second, second_weight, s, l, choices[n], weights[n])
+        total[s, l] += weights[n]
+        if total[s, l] > limit:
+            total[s, l] *= 0.5
+            first_weight[s, l] *= 0.5
+            second_weight[s, l] *= 0.5
+
+
+@njit(cache=True)
+def vote_image(
+    table: Array, first: Array, first_weight: Array, second: Array, second_weight: Array, total: Array,
+    depth: Array, choices: Array, weights: Array, camera: Array, pose: Array, voxel: float, limit: float,
+) -> None:
+    """Votes of the pixels of an image, in place.
+
+    first, second (n, 512) choices and first_weight, second_weight, total (n, 512) float32: the voxels
+    depth (H, W) float32 [m]; choices (H, W) with 0 = no vote; weights (H, W) float32: trust in each pixel, 0 … 1
+    camera (4,) fx, fy, cx, cy; pose (3, 4) camera in map; limit: total at which a voxel's votes are halved
+    """
+    height, width = depth.shape
+    last_i = last_j = last_k = 1 << 30
+    s = -1
+    for v in range(height):
+        for u in range(width):
+            choice = choices[v, u]
+            if choice == 0:
+                continue
+            z = depth[v, u]
+            w = weights[v, u] * z * z / (camera[0] * camera[1] * voxel * voxel)
+            if not w > 0.0:
+                continue
+            x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
+            i = int(np.floor((pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) / voxel))
+            j = int(np.floor((pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) / voxel))
+            k = int(np.floor((pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]) / voxel))
+            bi, bj, bk = i >> 3, j >> 3, k >> 3
+            if bi != last_i or bj != last_j or bk != last_k:
+                last_i, last_j, last_k = bi, bj, bk
+                s = lookup(table, bi, bj, bk)
+            if s < 0:
+                continue
+            l = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
+            _vote(first, first_weight, second, second_weight, s, l, choice, w)
+            total[s, l] += w
+            if total[s, l] > limit:
+                total[s, l] *= 0.5
+                first_weight[s, l] *= 0.5
+                second_weight[s, l] *= 0.5
+
+
+@njit(cache=True)
+def place_image(
+    table: Array, total: Array, mean: Array, depth: Array, choices: Array, weights: Array, camera: Array, pose: Array,
+    voxel: float, limit: float,
+) -> None:
+    """Draw each voxel's mean point towards the pixels' points, in place; called before `vote_image` with the same votes.
+
+    mean (n, 512, 3) float32: offset of the mean point from the voxel's centre, in voxels; total (n, 512): weight so far
+    """
+    height, width = depth.shape
+    for v in range(height):
+        for u in range(width):
+            if choices[v, u] == 0:
+                continue
+            z = depth[v, u]
+            w = weights[v, u] * z * z / (camera[0] * camera[1] * voxel * voxel)
+            if not w > 0.0:
+                continue
+            x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
+            px = (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) / voxel
+            py = (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) / voxel
+            pz = (pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]) / voxel
+            i, j, k = int(np.floor(px)), int(np.floor(py)), int(np.floor(pz))
+            s = lookup(table, i >> 3, j >> 3, k >> 3)
+            if s < 0:
+                continue
+            l = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
+            gain = w / (min(total[s, l], limit) + w)
+            mean[s, l, 0] += gain * (px - i - 0.5 - mean[s, l, 0])
+            mean[s, l, 1] += gain * (py - j - 0.5 - mean[s, l, 1])
+            mean[s, l, 2] += gain * (pz - k - 0.5 - mean[s, l, 2])
+
+
+@njit(cache=True)
+def count_overlaps(
+    table: Array, first: Array, first_weight: Array, total: Array, depth: Array, pieces: Array, camera: Array, pose: Array,
+    voxel: float, step: int, n_pieces: int,
+) -> tuple[Array, Array, Array, Array]:
+    """How many pixels of each piece lie on voxels of which known instance.
+
+    pieces (H, W) int32: 1 … n_pieces, 0 = none. Looked up at the point and one voxel before and behind it on the ray.
+    Returns piece (K,), instance (K,), hits (K,) of the pairs that occur, and the pixels looked at per piece (n_pieces,).
+    """
+    height, width = depth.shape
+    rows = 8192
+    key = np.full(rows, -1, dtype=np.int64)
+    hits = np.zeros(rows, dtype=np.int64)
+    looked = np.zeros(n_pieces, dtype=np.int64)
+    n = 0
+    for v in range(0, height, step):
+        for u in range(0, width, step):
+            piece = pieces[v, u]
+            if piece == 0:
+                continue
+            looked[piece - 1] += 1
+            z = depth[v, u]
+            x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
+            for attempt in range(3):
+                t = 1.0 if attempt == 0 else 1.0 + (voxel if attempt == 1 else -voxel) / z
+                i = int(np.floor((t * (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z) + pose[0, 3]) / voxel))
+                j = int(np.floor((t * (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z) + pose[1, 3]) / voxel))
+                k = int(np.floor((t * (pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z) + pose[2, 3]) / voxel))
+                s = lookup(table, i >> 3, j >> 3, k >> 3)
+                if s < 0:
+                    continue
+                l = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
+                if first[s, l] == 0 or first_weight[s, l] < 0.05:
+                    continue
+                pair = np.int64(piece) << 32 | np.int64(first[s, l])
+                row = (pair * 2654435761) & (rows - 1)
+                while key[row] >= 0 and key[row] != pair:
+                    row = (row + 1) & (rows - 1)
+                if key[row] < 0:
+                    if 2 * n > rows:
+                        break
+                    key[row] = pair
+                    n += 1
+                hits[row] += 1
+                break
+    used = np.nonzero(key >= 0)[0]
+    return key[used] >> 32, key[used] & 0xFFFFFFFF, hits[used], looked
+
+
+@njit(cache=True)
+def gather(
+    slots: Array, block_ijk: Array, first: Array, first_weight: Array, total: Array, mean: Array, instance: int, voxel: float,
+    least_weight: float, least_share: float,
+) -> tuple[Array, Array]:
+    """The mean points (N, 3) float32 [m] and weights (N,) of the voxels that an instance has won, in the blocks `slots`."""
+    n = 0
+    for at in range(len(slots)):
+        s = slots[at]
+        for l in range(512):
+            if first[s, l] == instance and first_weight[s, l] >= max(least_weight, least_share * total[s, l]):
+                n += 1
+    points = np.empty((n, 3), dtype=np.float32)
+    weights = np.empty(n, dtype=np.float32)
+    n = 0
+    for at in range(len(slots)):
+        s = slots[at]
+        for l in range(512):
+            if first[s, l] == instance and first_weight[s, l] >= max(least_weight, least_share * total[s, l]):
+                points[n, 0] = ((block_ijk[s, 0] << 3) + (l >> 6) + 0.5 + mean[s, l, 0]) * voxel
+                points[n, 1] = ((block_ijk[s, 1] << 3) + (l >> 3 & 7) + 0.5 + mean[s, l, 1]) * voxel
+                points[n, 2] = ((block_ijk[s, 2] << 3) + (l & 7) + 0.5 + mean[s, l, 2]) * voxel
+                weights[n] = first_weight[s, l]
+                n += 1
+    return points, weights
+
+
+@njit(cache=True)
+def rename(slots: Array, first: Array, first_weight: Array, second: Array, second_weight: Array, old: int, new: int) -> None:
+    """Give the votes for choice `old` to `new` in the blocks `slots`, in place."""
+    for at in range(len(slots)):
+        s = slots[at]
+        for l in range(512):
+            if first[s, l] == old:
+                first[s, l] = new
+            if second[s, l] == old:
+                second[s, l] = new
+            if first[s, l] == new and second[s, l] == new:
+                first_weight[s, l] += second_weight[s, l]
+                second[s, l] = 0
+                second_weight[s, l] = 0.0
+
+
+@njit(cache=True)
+def blocks_of_choices(table: Array, depth: Array, choices: Array, camera: Array, pose: Array, voxel: float, step: int) -> Array:
+    """Pairs (choice, slot) (K, 2) int64 of the blocks in which pixels with a choice ≠ 0 lie; repeats may remain."""
+    height, width = depth.shape
+    pairs = np.empty((height * width // (step * step) + 1, 2), dtype=np.int64)
+    n = 0
+    for v in range(0, height, step):
+        for u in range(0, width, step):
+            choice = choices[v, u]
+            if choice == 0:
+                continue
+            z = depth[v, u]
+            x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
+            i = int(np.floor((pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) / voxel))
+            j = int(np.floor((pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) / voxel))
+            k = int(np.floor((pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]) / voxel))
+            s = lookup(table, i >> 3, j >> 3, k >> 3)
+            if s < 0 or (n and pairs[n - 1, 0] == choice and pairs[n - 1, 1] == s):
+                continue
+            pairs[n, 0], pairs[n, 1] = choice, s
+            n += 1
+    return pairs[:n]
