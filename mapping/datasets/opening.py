@@ -6,19 +6,28 @@ import inspect
 from pathlib import Path
 from typing import Any
 
+from mapping.datasets.carmen import CarmenDataset
 from mapping.datasets.dataset import Dataset
 from mapping.datasets.pcd import PcdDataset
+from mapping.datasets.recorded import RecordedDataset
+from mapping.datasets.redwood import RedwoodDataset
 from mapping.datasets.threedtk import ThreeDtkDataset
 from mapping.datasets.tum import TumDataset
 from mapping.errors import DatasetError, InvalidParameter
 
-FORMATS: dict[str, type[Dataset]] = {reader.format: reader for reader in (TumDataset, ThreeDtkDataset, PcdDataset)}
+FORMATS: dict[str, type[Dataset]] = {
+    reader.format: reader
+    for reader in (RecordedDataset, TumDataset, RedwoodDataset, ThreeDtkDataset, PcdDataset, CarmenDataset)
+}
 """Format → reader, in the order in which they are tried."""
 
 SIGNS = {
+    "recorded": "recording.json",
     "tum": "depth.txt or associations.txt with groundtruth.txt",
+    "redwood": "depth/ with trajectory.log",
     "3dtk": "scan000.3d, … with .frames or .pose",
     "pcd": "*.pcd with VIEWPOINT",
+    "carmen": "*.clf",
 }
 """What each format is known by."""
 

@@ -269,6 +269,7 @@ class PcdDataset(Dataset):
             known = np.isfinite(points).all(axis=1)
             self.skipped["points that are not finite"] += int((~known).sum())
             points = points[known]
+            labels = _label_column(file, columns)
             if self._points_in == "world":
                 points = T_map_sensor.inverse() @ points
             yield Scan(
@@ -277,7 +278,7 @@ class PcdDataset(Dataset):
                 sensor=self._sensor,
                 points=points.astype(np.float32),
                 T_map_sensor=T_map_sensor,
-                labels=_label_column(file, columns, known),
+                labels=None if labels is None else labels[known],
                 intensity=columns["intensity"][known].astype(np.float32) if "intensity" in columns else None,
             )
 
@@ -287,7 +288,7 @@ class PcdDataset(Dataset):
             ids = set(self._label_names)
             for file in self._files:
                 _, columns = read_columns(file)
-                labels = _label_column(file, columns, np.isfinite(columns["x"]))
+                labels = _label_column(file, columns)
                 ids |= set() if labels is None else set(np.unique(labels).tolist())
             self._label_space = LabelSpace(
                 classes={
@@ -310,11 +311,11 @@ def _is_default(viewpoint: str | None) -> bool:
         return False
 
 
-def _label_column(path: Path, columns: dict[str, NDArray[Any]], known: NDArray[Any]) -> NDArray[np.uint16] | None:
+def _label_column(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.uint16] | None:
     for name in LABEL_FIELDS:
         if name in columns:
-            labels = columns[name][known]
+            labels = columns[name]
             if labels.size and not (labels.min() >= 0 and labels.max() < 2**16):
                 raise DatasetError(f"{path}: expected labels in 0 … 65535, got {labels.min()} … {labels.max()}")
-            return labels.astype(np.uint16)
+            return np.asarray(labels, dtype=np.uint16)
     return None
