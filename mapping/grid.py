@@ -74,6 +74,13 @@ def join_ijk(block_ijk: ArrayLike, local: ArrayLike) -> NDArray[np.int32]:
     return voxels
 
 
+def new_table(block_ijk: NDArray[np.int32], n_blocks: int, capacity: int) -> NDArray[np.int64]:
+    """A hash table with room for `capacity` blocks, in which the first `n_blocks` of block_ijk have slots 0, 1, …"""
+    table = np.full((1 << max(6, (2 * capacity - 1).bit_length()), 2), -1, np.int64)
+    hashing.refill(table, block_ijk, n_blocks)
+    return table
+
+
 class BlockStore:
     """Blocks of 8³ voxels, found by a hash of their index, each field an array of its own; grows by doubling.
 
@@ -100,7 +107,7 @@ class BlockStore:
         self.fields: dict[str, Array] = {name: self._filled(name, 0) for name in self._dtypes}
         self.changed_at: NDArray[np.int64] = np.zeros(0, np.int64)
         """(capacity,) the revision of its layer at which each block last changed."""
-        self.table: NDArray[np.int64] = np.full((64, 2), -1, np.int64)
+        self.table = new_table(self._stored_ijk, 0, 0)
 
     # -- what is there ------------------------------------------------------------------------------------
     @property
@@ -176,8 +183,7 @@ class BlockStore:
         stored[: self._n_blocks] = self.block_ijk
         self._stored_ijk = stored
         self._capacity = capacity
-        self.table = np.full((2 * capacity, 2), -1, np.int64)
-        hashing.refill(self.table, self._stored_ijk, self._n_blocks)
+        self.table = new_table(stored, self._n_blocks, capacity)
 
     # -- state --------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:

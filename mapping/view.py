@@ -1,0 +1,102 @@
+"""A depth image prepared for fusion: what each pixel saw, and which blocks the image can say anything about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapping.errors import InvalidObservation
+from mapping.geometry import SE3, CameraIntrinsics
+from mapping.kernels import visibility
+
+Array: TypeAlias = NDArray[Any]
+
+
+def as_pose(pose: SE3 | ArrayLike, name: str) -> SE3:
+    """An `SE3` or a homogeneous matrix (4, 4) as `SE3`."""
+    return pose if isinstance(pose, SE3) else SE3.from_matrix(pose)
+
+
+def as_depth_m(depth: Array) -> NDArray[np.float32]:
+    """A depth image as float32 metres: float32 is metres, uint16 millimetres; 0 or NaN = not measured."""
+    image = np.asarray(depth)
+    if image.ndim != 2:
+        raise InvalidObservation(f"depth: expected an image (H, W), got shape {image.shape}")
+    if image.dtype == np.uint16:
+        return np.asarray(image * np.float32(0.001), dtype=np.float32)
+    if image.dtype != np.float32:
+        raise InvalidObservation(f"depth: expected float32 [m] or uint16 [mm], got {image.dtype}")
+    return np.ascontiguousarray(image)
+
+
+class DepthView:
+    """One depth image from one pose, prepared once for any number of layers.
+
+    depth        (H, W) float32 [m] or uint16 [mm]; 0 or NaN = not measured
+    max_range_m  surfaces farther than this from the camera [m, along the ray] are not believed; free space is, up to it
+    """
+
+    def __init__(
+        self,
+        depth: Array,
+        intrinsics: CameraIntrinsics | Mapping[str, float],
+        T_map_camera: SE3 | ArrayLike,
+        max_range_m: float,
+    ) -> None:
+        model = intrinsics if isinstance(intrinsics, CameraIntrinsics) else CameraIntrinsics.model_validate(intrinsics)
+        pose = as_pose(T_map_camera, "T_map_camera")
+        depth_m = as_depth_m(depth)
+        if depth_m.shape != (model.height, model.width):
+            raise InvalidObservation(
+                f"depth has shape {depth_m.shape}, but intrinsics say (height, width) = {(model.height, model.width)}"
+            )
+        inverse = pose.inverse()
+        intrinsics_row = (model.fx, model.fy, model.cx, model.cy, model.width, model.height)
+        self.camera: NDArray[np.float64] = np.array([*inverse.rotation.ravel(), *inverse.translation, *intrinsics_row])
+        """The camera as kernels take it, see `mapping.kernels.visibility`."""
+        self.pose: NDArray[np.float64] = np.concatenate([pose.rotation.ravel(), pose.translation])
+        """(12,) R_map_camera row by row, then t_map_camera."""
+        self.reach: NDArray[np.float32] = np.empty_like(depth_m)
+        """(H, W) float32 see `mapping.kernels.visibility`."""
+        self.farthest_m = float(visibility.measure_reach(depth_m, self.camera, float(max_range_m), self.reach))
+        """The largest depth z of which the image says anything [m]."""
+        cells = (visibility.LEVELS, -(-model.height // visibility.CELL), -(-model.width // visibility.CELL), 2)
+        self._pyramid = np.empty(cells, np.float32)
+        visibility.build_pyramid(self.reach, self._pyramid)
+
+    def blocks(
+        self, block_size_m: float, *, front_m: float, back_m: float, with_free: bool
+    ) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
+        """The blocks (n, 3) that the image sees and their kinds (n,): `visibility.MIXED` or, if asked for, `FREE`.
+
+        front_m, back_m : how far before and behind a surface a block still counts as near it [m]
+        """
+        roots = self._roots(block_size_m * (1 << visibility.ROOT_LEVEL), back_m)
+        n = 4096
+        while True:
+            blocks, kinds = np.empty((n, 3), np.int32), np.empty(n, np.uint8)
+            count = visibility.list_blocks(
+                self._pyramid, self.camera, roots, block_size_m, front_m, back_m, with_free, blocks, kinds
+            )
+            if count <= n:
+                return blocks[:count], kinds[:count]
+            n = count
+
+    def _roots(self, edge_m: float, back_m: float) -> NDArray[np.int64]:
+        """The cells (r, 3) of this edge that the frustum's bounding box meets."""
+        if self.farthest_m == 0.0:
+            return np.empty((0, 3), np.int64)
+        fx, fy, cx, cy, width, height = self.camera[12:]
+        z = self.farthest_m + back_m
+        x = z * (np.array([-0.5, width - 0.5]) - cx) / fx
+        y = z * (np.array([-0.5, height - 0.5]) - cy) / fy
+        corners = np.array([[0.0, 0.0, 0.0]] + [[a, b, z] for a in x for b in y])
+        corners_map = corners @ self.pose[:9].reshape(3, 3).T + self.pose[9:]
+        low = np.floor(corners_map.min(axis=0) / edge_m).astype(np.int64)
+        high = np.floor(corners_map.max(axis=0) / edge_m).astype(np.int64)
+        return np.stack(
+            np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)), indexing="ij"), axis=-1
+        ).reshape(-1, 3)
