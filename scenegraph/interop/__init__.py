@@ -1,0 +1,26 @@
+"""The scene graph in other programs' formats.
+
+spark_dsg : JSON of the `spark_dsg` package (Hydra, Khronos): `DynamicSceneGraph.load`
+node_link : JSON of networkx: `networkx.node_link_graph(document, edges="edges")`
+graphml   : XML of graph tools (yEd, Gephi, networkx): flat attributes
+csv       : a table of the objects, a line each
+json      : our own snapshot
+"""
+
+from scenegraph.interop.export import FORMATS, Format, export_graph, render_graph
+from scenegraph.interop.graphml import graphml_text
+from scenegraph.interop.node_link import node_link_document
+from scenegraph.interop.spark_dsg import spark_dsg_document
+from scenegraph.interop.table import object_rows, objects_csv
+
+__all__ = [
+    "FORMATS",
+    "Format",
+    "export_graph",
+    "graphml_text",
+    "node_link_document",
+    "object_rows",
+    "objects_csv",
+    "render_graph",
+    "spark_dsg_document",
+]

@@ -1,0 +1,68 @@
+"""Any of the formats by its name, as text or into a file."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from scenegraph.errors import ExportError, nearest
+from scenegraph.graph import SceneGraph
+from scenegraph.interop.graphml import graphml_text
+from scenegraph.interop.node_link import node_link_document
+from scenegraph.interop.spark_dsg import spark_dsg_document
+from scenegraph.interop.table import objects_csv
+
+__all__ = ["FORMATS", "Format", "export_graph", "render_graph"]
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """One way to write a graph: its text, the usual ending of a file, and its media type."""
+
+    render: Callable[[SceneGraph], str]
+    suffix: str
+    media_type: str
+
+
+FORMATS: dict[str, Format] = {
+    "json": Format(lambda graph: graph.snapshot().model_dump_json(), ".json", "application/json"),
+    "spark_dsg": Format(lambda graph: json.dumps(spark_dsg_document(graph)), ".json", "application/json"),
+    "node_link": Format(lambda graph: json.dumps(node_link_document(graph)), ".json", "application/json"),
+    "graphml": Format(graphml_text, ".graphml", "application/graphml+xml"),
+    "csv": Format(objects_csv, ".csv", "text/csv"),
+}
+"""The formats of a whole graph, by name."""
+
+
+def render_graph(graph: SceneGraph, name: str) -> str:
+    """The graph in the format of this name. Raises ExportError when there is none."""
+    if name not in FORMATS:
+        near = nearest(name, FORMATS)
+        raise ExportError(
+            f"unknown graph format {name!r}: expected one of {', '.join(FORMATS)}",
+            hint=f"did you mean {near[0]!r}?" if near else None,
+        )
+    return FORMATS[name].render(graph)
+
+
+def export_graph(graph: SceneGraph, name: str, path: str | Path) -> Path:
+    """Write the graph to a file (UTF-8), replacing what was there, and return its path.
+
+    The file is complete or untouched. Raises ExportError when the format is unknown or the file cannot be written.
+    """
+    path = Path(path)
+    text = render_graph(graph, name)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        partial.write_text(text, encoding="utf-8", newline="")
+        os.replace(partial, path)
+    except OSError as error:
+        raise ExportError(
+            f"{path}: cannot be written: {error.strerror}", hint="check folder and permissions"
+        ) from error
+    finally:
+        partial.unlink(missing_ok=True)
+    return path

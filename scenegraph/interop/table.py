@@ -1,0 +1,61 @@
+"""A table of the objects, for spreadsheets and for printing."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from typing import Any
+
+from scenegraph.graph import Node, SceneGraph
+
+__all__ = ["object_rows", "objects_csv"]
+
+COLUMNS = (
+    "id", "label", "name", "room", "on", "in", "x_m", "y_m", "z_m", "size_x_m", "size_y_m", "size_z_m", "yaw_deg",
+    "confidence", "first_seen_ns", "last_seen_ns",
+)  # fmt: skip
+
+
+def object_rows(graph: SceneGraph) -> list[dict[str, Any]]:
+    """One mapping from column to value for each object, by id; None where a value is not known.
+
+    `room` is the room it is in, `on` what it stands on, `in` the object that contains it (ids); lengths in metres.
+    """
+    return [_row(graph, node) for node in sorted(graph.nodes("object"), key=_by_number)]
+
+
+def objects_csv(graph: SceneGraph) -> str:
+    """The rows of `object_rows` as CSV with a header line; empty fields are unknown."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(object_rows(graph))
+    return text.getvalue()
+
+
+def _row(graph: SceneGraph, node: Node) -> dict[str, Any]:
+    containers = {graph.node(edge.target).layer: edge.target for edge in graph.edges("in", source=node.id)}
+    supports = graph.edges("on", source=node.id)
+    size = [None] * 3 if node.box is None else node.box.size.tolist()
+    values = (
+        node.id,
+        node.label,
+        node.attributes.get("name"),
+        containers.get("room"),
+        supports[0].target if supports else None,
+        containers.get("object"),
+        *node.position.tolist(),
+        *size,
+        None if node.box is None else math.degrees(node.box.yaw),
+        node.confidence,
+        node.first_seen_ns,
+        node.last_seen_ns,
+    )
+    return dict(zip(COLUMNS, values, strict=True))
+
+
+def _by_number(node: Node) -> tuple[str, int]:
+    """`object_9` before `object_10`."""
+    stem, _, number = node.id.rpartition("_")
+    return (stem, int(number)) if number.isdigit() else (node.id, -1)

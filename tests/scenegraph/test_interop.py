@@ -1,0 +1,154 @@
+"""Exports are read by the programs they are for, with everything in its place."""
+
+import csv
+import io
+import json
+import math
+from pathlib import Path
+
+import networkx as nx
+import numpy as np
+import pytest
+
+from scenegraph.errors import ExportError
+from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph, Snapshot
+from scenegraph.interop import FORMATS, export_graph, node_link_document, objects_csv, render_graph, spark_dsg_document
+
+SEEN = {"first_seen_ns": 1_700_000_000_000_000_000, "last_seen_ns": 1_700_000_001_000_000_001}
+
+TELLY_BOX = Box.from_yaw((1, 2, 0.5), (1, 0.5, 0.25), 0.3)
+
+
+def home() -> SceneGraph:
+    def node(layer: str, node_id: str, label: str, x: float, y: float, z: float, **fields: object) -> Node:
+        return Node(id=node_id, layer=layer, label=label, position=(x, y, z), **SEEN, **fields)
+
+    footprint = {"footprint": [[0, 0], [4, 0], [4, 3.5]]}
+    telly = {"name": "telly", "points": 120, "moved": None}
+    nodes = [
+        node("building", "home", "home", 0, 0, 0),
+        node("storey", "storey_0", "ground floor", 0, 0, 0),
+        node("room", "room_0", "kitchen", 1, 1, 1, attributes=footprint),
+        node("room", "room_1", "", 5, 1, 1),
+        node("place", "place_3", "place", 5, 1, 1),
+        node("structure", "door", "door", 4, 1, 1, box=Box(center=(4, 1, 1), size=(0.1, 1, 2))),
+        node("structure", "structure_0", "floor", 2, 2, 0),
+        node("object", "object_3", '"TV", <große>\x07', 1, 2, 0.5, box=TELLY_BOX, confidence=0.75, attributes=telly),
+        node("object", "object_12", "table", 1, 2, 0.2),
+        node("agent", "robot", "robot", 3, 3, 0, box=Box.from_yaw((3, 3, 0), (0.5, 0.5, 1), 1.0)),
+    ]
+    edges = [
+        ("in", "room_0", "storey_0"), ("contains", "storey_0", "room_0"), ("in", "storey_0", "home"),
+        ("on", "object_3", "object_12"), ("supports", "object_12", "object_3"),
+        ("near", "object_3", "object_12"), ("near", "object_12", "object_3"),
+        ("in", "object_3", "room_0"), ("in", "object_12", "room_0"), ("contains", "room_0", "object_12"),
+        ("connects", "door", "room_0"), ("connects", "door", "room_1"), ("in", "robot", "room_1"),
+        ("on", "object_12", "structure_0"), ("in", "place_3", "room_1"), ("near", "robot", "object_3"),
+    ]  # fmt: skip
+    changes = GraphChanges()
+    for node in nodes:
+        changes.put(node)
+    for relation, source, target in edges:
+        changes.put(Edge(relation=relation, source=source, target=target, value=0.25, evidence=("r/cam@5", 7), **SEEN))
+    graph = SceneGraph()
+    graph.commit(changes, 5)
+    return graph
+
+
+def test_spark_dsg_loads_the_whole_graph(tmp_path: Path) -> None:
+    spark_dsg = pytest.importorskip("spark_dsg")
+    graph = home()
+    loaded = spark_dsg.DynamicSceneGraph.load(str(export_graph(graph, "spark_dsg", tmp_path / "graph.json")))
+    assert loaded.num_nodes() == len(graph)
+    pairs = {frozenset((edge.source, edge.target)) for edge in graph.edges()}
+    assert loaded.num_edges() == len(pairs)
+    layers = spark_dsg.DsgLayers
+    theirs_of_ours = {"object": layers.OBJECTS, "room": layers.ROOMS, "building": layers.BUILDINGS, "agent": "AGENTS"}
+    for ours, theirs in {**theirs_of_ours, "structure": "STRUCTURE", "storey": "STOREYS"}.items():
+        assert loaded.get_layer(theirs).num_nodes() == len(graph.nodes(ours)), ours
+    television = loaded.get_node(spark_dsg.NodeSymbol("O", 3)).attributes
+    np.testing.assert_allclose(television.position, [1, 2, 0.5])
+    np.testing.assert_allclose(television.bounding_box.dimensions, [1, 0.5, 0.25])
+    np.testing.assert_allclose(television.bounding_box.world_R_center, TELLY_BOX.rotation, atol=1e-6)
+    assert television.name == "telly"
+    assert television.metadata.get()["id"] == "object_3"
+    assert television.metadata.get()["attributes"]["points"] == 120
+    for labels in (loaded.get_labelspace(layers.OBJECTS), loaded.get_labelspace(2, 0)):
+        assert labels.get_category(television.semantic_label) == graph.node("object_3").label
+    assert loaded.get_node(spark_dsg.NodeSymbol("O", 12)).get_parent() == spark_dsg.NodeSymbol("R", 0).value
+    edge = loaded.get_edge(spark_dsg.NodeSymbol("O", 3), spark_dsg.NodeSymbol("O", 12))
+    relations = {(r["relation"], r["source"], r["target"]) for r in edge.info.metadata.get()["relations"]}
+    assert relations == {
+        ("on", "object_3", "object_12"),
+        ("supports", "object_12", "object_3"),
+        ("near", "object_3", "object_12"),
+        ("near", "object_12", "object_3"),
+    }
+
+
+def test_spark_dsg_symbols_are_one_a_node_whatever_the_ids() -> None:
+    graph = SceneGraph()
+    changes = GraphChanges()
+    for node_id in ("cup_1", "object_1", "cup_2", "x", "a_0", "b_00", f"far_{'9' * 30}", "object_2"):
+        changes.put(Node(id=node_id, layer="object", label="x", position=(0, 0, 0), **SEEN))
+    graph.commit(changes, 1)
+    symbols = [node["id"] for node in spark_dsg_document(graph)["nodes"]]
+    assert len(set(symbols)) == len(graph)
+
+
+def test_an_empty_graph_can_be_exported(tmp_path: Path) -> None:
+    spark_dsg = pytest.importorskip("spark_dsg")
+    for name, kind in FORMATS.items():
+        assert export_graph(SceneGraph(), name, (tmp_path / name).with_suffix(kind.suffix)).read_text()
+    assert spark_dsg.DynamicSceneGraph.load(str(tmp_path / "spark_dsg.json")).num_nodes() == 0
+
+
+def test_networkx_reads_node_link() -> None:
+    graph = home()
+    again = nx.node_link_graph(json.loads(json.dumps(node_link_document(graph))), edges="edges")
+    assert again.is_directed()
+    assert again.is_multigraph()
+    assert set(again) == {node.id for node in graph}
+    assert {(key, s, t) for s, t, key in again.edges(keys=True)} == {tuple(edge.key) for edge in graph.edges()}
+    assert again.nodes["object_3"]["position"] == [1, 2, 0.5]
+    assert again.graph["revision"] == graph.revision
+
+
+def test_networkx_reads_graphml() -> None:
+    graph = home()
+    again = nx.parse_graphml(render_graph(graph, "graphml"), force_multigraph=True)
+    assert set(again) == {node.id for node in graph}
+    found = {(data["relation"], s, t) for s, t, data in again.edges(data=True)}
+    assert found == {tuple(edge.key) for edge in graph.edges()}
+    assert len({key for _, _, key in again.edges(keys=True)}) == graph.n_edges
+    television = again.nodes["object_3"]
+    assert television["label"] == '"TV", <große>\ufffd'
+    assert television["last_seen_ns"] == SEEN["last_seen_ns"]
+    assert television["yaw"] == pytest.approx(0.3)
+    assert television["attribute_points"] == 120
+    assert json.loads(again.nodes["room_0"]["attribute_footprint"]) == [[0, 0], [4, 0], [4, 3.5]]
+
+
+def test_the_table_names_room_and_support_of_each_object() -> None:
+    rows = list(csv.DictReader(io.StringIO(objects_csv(home()))))
+    assert [row["id"] for row in rows] == ["object_3", "object_12"]
+    television, table = rows
+    assert television["label"] == home().node("object_3").label
+    assert (television["name"], television["room"], television["on"]) == ("telly", "room_0", "object_12")
+    assert float(television["yaw_deg"]) == pytest.approx(math.degrees(0.3))
+    assert float(television["size_z_m"]) == 0.25
+    assert (table["on"], table["in"], table["size_x_m"]) == ("structure_0", "", "")
+
+
+def test_our_own_json_is_the_snapshot() -> None:
+    graph = home()
+    assert SceneGraph.from_snapshot(Snapshot.model_validate_json(render_graph(graph, "json"))) == graph
+
+
+def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match="unknown graph format 'graphmil'") as caught:
+        export_graph(home(), "graphmil", tmp_path / "x")
+    assert caught.value.hint == "did you mean 'graphml'?"
+    with pytest.raises(ExportError, match="cannot be written"):
+        export_graph(home(), "csv", tmp_path / "none" / "x")
+    assert list(tmp_path.iterdir()) == []
