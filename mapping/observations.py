@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -20,12 +21,15 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     PlainSerializer,
     ValidationError,
     WithJsonSchema,
     field_validator,
     model_validator,
 )
+from pydantic_core import CoreSchema, core_schema
 
 from mapping.errors import InvalidObservation, InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
@@ -39,33 +43,44 @@ _CHUNK = re.compile(r"[a-z][a-z0-9_]*\Z")
 # -- field types ---------------------------------------------------------------------------------------------
 
 
-def _array(dtypes: tuple[str, ...], shape: tuple[int | None, ...], meaning: str) -> Any:
-    """An annotated array field. `dtypes`: accepted kinds, the first is the default for lists; None in `shape` is any."""
-    accepted = [np.dtype(name) for name in dtypes]
-    expected = f"{' or '.join(dtypes)} of shape ({', '.join('n' if n is None else str(n) for n in shape)})"
+@dataclass(frozen=True)
+class _Array:
+    """What an array field must be. `dtypes`: the accepted ones, the first is for lists; None in `shape` is any."""
 
-    def check(value: Any) -> Any:
+    dtypes: tuple[str, ...]
+    shape: tuple[int | None, ...]
+    meaning: str
+
+    @property
+    def expected(self) -> str:
+        shape = tuple("n" if n is None else n for n in self.shape)
+        return f"{' or '.join(self.dtypes)} of shape {shape}".replace("'", "")
+
+    def check(self, value: Any) -> NDArray[Any]:
+        """`value` as a read-only contiguous array, without a copy where it is one."""
         if not isinstance(value, np.ndarray):
             if not isinstance(value, (list, tuple)):
-                raise ValueError(f"expected an array, {expected}, got {type(value).__name__}")
+                raise ValueError(f"expected an array, {self.expected}, got {type(value).__name__}")
             try:
-                value = np.asarray(value, dtype=accepted[0])
+                value = np.asarray(value, dtype=self.dtypes[0])
             except (ValueError, TypeError, OverflowError) as error:
-                raise ValueError(f"expected an array, {expected}, got a list that is not one ({error})") from None
-        if value.dtype not in accepted:
-            raise ValueError(f"expected {expected}, got dtype {value.dtype}")
-        if value.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, value.shape, strict=True)):
-            raise ValueError(f"expected {expected}, got shape {value.shape}")
+                raise ValueError(f"expected an array, {self.expected}, got a list that is not one ({error})") from None
+        if not any(value.dtype == np.dtype(name) for name in self.dtypes):
+            raise ValueError(f"expected {self.expected}, got dtype {value.dtype}")
+        if value.ndim != len(self.shape) or any(
+            n is not None and n != m for n, m in zip(self.shape, value.shape, strict=True)
+        ):
+            raise ValueError(f"expected {self.expected}, got shape {value.shape}")
         if value.flags.writeable or not value.flags.c_contiguous:
             value = np.ascontiguousarray(value).view()
             value.setflags(write=False)
-        return value
+        return np.asarray(value)
 
-    return Annotated[
-        NDArray[Any],
-        BeforeValidator(check),
-        WithJsonSchema({"$ref": "#/$defs/Array", "description": f"{meaning}; {expected}"}),
-    ]
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self.check, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"$ref": "#/$defs/Array", "description": f"{self.meaning}; {self.expected}"}
 
 
 def _pose(value: Any) -> SE3:
@@ -108,24 +123,28 @@ Pose: TypeAlias = Annotated[
 ]
 Name: TypeAlias = Annotated[str, BeforeValidator(_chunk), Field(max_length=64)]
 Stamp: TypeAlias = Annotated[int, Field(ge=0, lt=2**63, strict=True)]
-Covariance: TypeAlias = _array(("float64", "float32"), (6, 6), "x, y, z, roll, pitch, yaw (m, rad), in the sensor frame")
+Covariance: TypeAlias = Annotated[
+    NDArray[Any], _Array(("float64", "float32"), (6, 6), "x, y, z, roll, pitch, yaw (m, rad), in the sensor frame")
+]
 Confidence: TypeAlias = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
 Metres: TypeAlias = Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False)]
 
-DepthArray: TypeAlias = _array(("float32", "uint16"), (None, None), "depth: float32 metres or uint16 millimetres")
-ColorArray: TypeAlias = _array(("uint8",), (None, None, 3), "red, green, blue")
-LabelImage: TypeAlias = _array(("uint16",), (None, None), "class ids, 0 = not labelled")
-InstanceImage: TypeAlias = _array(("uint32",), (None, None), "instance ids, 0 = none")
-ConfidenceImage: TypeAlias = _array(("float32",), (None, None), "0 … 1")
-MaskArray: TypeAlias = _array(("bool",), (None, None), "mask")
-PointArray: TypeAlias = _array(("float32",), (None, 3), "x, y, z in the sensor frame [m]")
-LabelColumn: TypeAlias = _array(("uint16",), (None,), "class ids, 0 = not labelled")
-InstanceColumn: TypeAlias = _array(("uint32",), (None,), "instance ids, 0 = none")
-FloatColumn: TypeAlias = _array(("float32",), (None,), "a number a point")
-TimeColumn: TypeAlias = _array(("int64",), (None,), "nanoseconds after stamp_ns")
-Vector3: TypeAlias = _array(("float64", "float32"), (3,), "x, y, z [m]")
-Quaternion: TypeAlias = _array(("float64", "float32"), (4,), "w, x, y, z")
-PolygonArray: TypeAlias = _array(("float64", "float32"), (None, 2), "corners x, y [m]")
+DepthArray: TypeAlias = Annotated[
+    NDArray[Any], _Array(("float32", "uint16"), (None, None), "depth: float32 metres or uint16 millimetres")
+]
+ColorArray: TypeAlias = Annotated[NDArray[Any], _Array(("uint8",), (None, None, 3), "red, green, blue")]
+LabelImage: TypeAlias = Annotated[NDArray[Any], _Array(("uint16",), (None, None), "class ids, 0 = not labelled")]
+InstanceImage: TypeAlias = Annotated[NDArray[Any], _Array(("uint32",), (None, None), "instance ids, 0 = none")]
+ConfidenceImage: TypeAlias = Annotated[NDArray[Any], _Array(("float32",), (None, None), "0 … 1")]
+MaskArray: TypeAlias = Annotated[NDArray[Any], _Array(("bool",), (None, None), "mask")]
+PointArray: TypeAlias = Annotated[NDArray[Any], _Array(("float32",), (None, 3), "x, y, z in the sensor frame [m]")]
+LabelColumn: TypeAlias = Annotated[NDArray[Any], _Array(("uint16",), (None,), "class ids, 0 = not labelled")]
+InstanceColumn: TypeAlias = Annotated[NDArray[Any], _Array(("uint32",), (None,), "instance ids, 0 = none")]
+FloatColumn: TypeAlias = Annotated[NDArray[Any], _Array(("float32",), (None,), "a number a point")]
+TimeColumn: TypeAlias = Annotated[NDArray[Any], _Array(("int64",), (None,), "nanoseconds after stamp_ns")]
+Vector3: TypeAlias = Annotated[NDArray[Any], _Array(("float64", "float32"), (3,), "x, y, z [m]")]
+Quaternion: TypeAlias = Annotated[NDArray[Any], _Array(("float64", "float32"), (4,), "w, x, y, z")]
+PolygonArray: TypeAlias = Annotated[NDArray[Any], _Array(("float64", "float32"), (None, 2), "corners x, y [m]")]
 
 
 # -- models --------------------------------------------------------------------------------------------------
@@ -141,7 +160,9 @@ def _shorten(value: Any) -> str:
 class Observation(BaseModel):
     """Base of all observations: frozen, no unknown fields, one clear error."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, ignored_types=(cached_property,))
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", arbitrary_types_allowed=True, ignored_types=(cached_property,)
+    )
 
     def __init__(self, **fields: Any) -> None:
         try:
@@ -149,7 +170,13 @@ class Observation(BaseModel):
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             path = ".".join(str(part) for part in first["loc"])
-            reason = first["msg"].removeprefix("Value error, ")
+            inner = first.get("ctx", {}).get("error")
+            if isinstance(inner, InvalidObservation):  # of a part that is a model itself: it has said it all
+                _, dot, rest = str(inner).partition(".")
+                kind, colon, reason = str(inner).partition(":")
+                part = f".{rest}" if dot and "." in kind else f"{colon}{reason}"
+                raise InvalidObservation(f"{type(self).__name__}.{path}{part}") from None
+            reason = first["msg"].removeprefix("Value error, ").removeprefix(f"{path}: ")
             if first["type"] == "missing":
                 raise InvalidObservation(f"{type(self).__name__}.{path}: missing; it is required") from None
             where = f"{type(self).__name__}.{path}" if path else type(self).__name__
@@ -264,8 +291,8 @@ class RgbdImage(Sensed):
     def depth_m(self) -> NDArray[np.float32]:
         """(H, W) float32 [m], 0 where not measured."""
         if self.depth.dtype == np.uint16:
-            return np.multiply(self.depth, np.float32(0.001), dtype=np.float32)
-        return np.nan_to_num(self.depth, nan=0.0)
+            return np.asarray(np.multiply(self.depth, np.float32(0.001), dtype=np.float32))
+        return np.asarray(np.nan_to_num(self.depth, nan=0.0))
 
 
 class Scan(Sensed):
@@ -321,7 +348,7 @@ class Box3d(Observation):
 
 
 class Detection(Observation):
-    """One detected thing: a class name and where, as exactly one of box2d (u0, v0, u1, v1) [px], mask (H, W) or box3d."""
+    """One detected thing: a class and a place, as one of box2d (u0, v0, u1, v1) [px], mask (H, W) and box3d."""
 
     label: Annotated[str, Field(min_length=1, max_length=128)]
     confidence: Confidence = 1.0
@@ -434,6 +461,5 @@ class RobotDescription(Observation):
 
 
 OBSERVATIONS: dict[str, Callable[..., Observation]] = {
-    model.__name__: model
-    for model in (RgbdImage, Scan, Detections, AgentPose, Transform, LabelSpace, RobotDescription)
+    model.__name__: model for model in (RgbdImage, Scan, Detections, AgentPose, Transform, LabelSpace, RobotDescription)
 }
