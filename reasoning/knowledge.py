@@ -1,0 +1,343 @@
+"""What is known, and asking for it: facts in by change, questions out with truth, answers and explanations."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, cast
+
+from reasoning.engine import Engine
+from reasoning.errors import GoalFailed
+from reasoning.facts import FactStore
+from reasoning.terms import Atom, Compound, Term, Var, term_text
+
+__all__ = ["DerivedEdge", "Explanation", "KnowledgeBase", "Phrase", "Problem", "Reply", "Test"]
+
+Truth = Literal["true", "false", "unknown"]
+Viewer = str | tuple[float, float, float] | None
+
+_INFERENCES_PER_SECOND = 50_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Why a question could not be asked, or not to its end."""
+
+    code: str
+    message: str
+    hint: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Test:
+    """A measurement that was compared with a threshold: `value comparison threshold` [unit]."""
+
+    __test__ = False  # not one of pytest's
+
+    measurement: str
+    value: Term
+    comparison: str
+    threshold_name: str
+    threshold: Term
+    unit: str | None
+
+    def __str__(self) -> str:
+        unit = {"metre": " m", "share": ""}.get(self.unit or "", "")
+        name = "" if self.threshold_name == "nothing" else f" ({self.threshold_name})"
+        return f"{self.measurement} {_brief(self.value)}{unit} {self.comparison} {_brief(self.threshold)}{unit}{name}"
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """Why something holds, or does not, or is open: the rule, the tests, the facts, and the same for its parts.
+
+    For a goal that does not hold, the children of the part that fails are the candidates that came closest.
+    """
+
+    goal: str
+    truth: Truth
+    rule: str = ""
+    tests: tuple[Test, ...] = ()
+    evidence: tuple[Term, ...] = ()
+    children: tuple[Explanation, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """The explanation as an indented text for people."""
+        return "\n".join(self._lines(0))
+
+    def _lines(self, depth: int) -> Iterator[str]:
+        pad = "  " * depth
+        mark = {"true": "yes", "false": "no", "unknown": "open"}[self.truth]
+        yield f"{pad}{mark}: {self.goal}" + (f"   [{self.rule}]" if self.rule else "")
+        for test in self.tests:
+            yield f"{pad}    {test}"
+        if not self.tests:
+            for fact in self.evidence:
+                yield f"{pad}    {fact}"
+        for child in self.children:
+            yield from child._lines(depth + 1)
+
+    def as_json(self) -> dict[str, Any]:
+        """The explanation as plain dicts, lists, strings and numbers."""
+        return {
+            "goal": self.goal,
+            "truth": self.truth,
+            "rule": self.rule,
+            "tests": [
+                {
+                    "measurement": test.measurement,
+                    "value": _plain(test.value),
+                    "comparison": test.comparison,
+                    "threshold_name": test.threshold_name,
+                    "threshold": _plain(test.threshold),
+                    "unit": test.unit,
+                }
+                for test in self.tests
+            ],
+            "evidence": [term_text(fact) for fact in self.evidence],
+            "children": [child.as_json() for child in self.children],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What came of a question.
+
+    truth       : "true" with at least one answer; "unknown" without one while one is possible; else "false"
+    answers     : distinct bindings of the goal's visible variables; one empty dict when it has none and holds
+    truncated   : whether there were more answers than the limit
+    problem     : None, or why the goal could not be asked (to the end); then `answers` are those found before
+    explanation : when asked for
+    """
+
+    truth: Truth
+    answers: tuple[dict[str, Term], ...] = ()
+    truncated: bool = False
+    problem: Problem | None = None
+    explanation: Explanation | None = None
+    elapsed_ms: float = field(default=0.0, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Phrase:
+    """What a phrase means.
+
+    kind      : "thing": the goal finds what is meant; "place": it finds the landmarks, and `relation` leads from there
+    relation  : for a place: near, in, on, under, above, behind, in_front_of, left_of, right_of, next_to, between
+    variables : the names of the sought variables in `goal` (two landmarks for `between`)
+    goal      : a goal for `KnowledgeBase.ask`
+    problem   : None, or which word was not understood
+    """
+
+    kind: Literal["thing", "place"]
+    goal: str
+    variables: tuple[str, ...] = ()
+    relation: str | None = None
+    problem: Problem | None = None
+
+
+class DerivedEdge(NamedTuple):
+    """An edge that the rules derive: ids, the value that was compared, its threshold, and a confidence in 0.5 … 1."""
+
+    relation: str
+    source: str
+    target: str
+    value: float
+    threshold: float
+    confidence: float
+
+
+class KnowledgeBase:
+    """The facts and rules of one world; a context manager. One question at a time, from any thread.
+
+    rule_files : a user's Prolog files; they may override thresholds (`:- override(contact_share(0.3)).`) and define
+                 predicates of their own, which can then be asked
+    """
+
+    def __init__(self, rule_files: Sequence[Path | str] = ()) -> None:
+        self._facts = FactStore()
+        self._engine = Engine(rule_files, remembered=self._facts.text)
+
+    def __enter__(self) -> KnowledgeBase:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __len__(self) -> int:
+        """How many facts are known."""
+        return len(self._facts)
+
+    @property
+    def engine(self) -> Engine:
+        """The process behind it (its `pid`, its `restarts`)."""
+        return self._engine
+
+    def close(self) -> None:
+        """End the Prolog process."""
+        self._engine.close()
+
+    def update(
+        self, put: Iterable[Compound] = (), deleted: Iterable[Compound] = (), forget: Iterable[str] = ()
+    ) -> None:
+        """Change the facts, in one round trip: `forget` ids, then remove `deleted`, then `put`.
+
+        A fact that is put replaces the one with the same key (`reasoning.facts.FACTS`): a second
+        `position(object_1, …)` takes the place of the first. `deleted` facts are found by their key too; a `Var` there
+        matches anything. `forget` removes every fact about an id. Raises `InvalidFact`, `InvalidTerm`.
+        """
+        text = self._facts.change(put, deleted, forget)
+        if text:
+            self._expect("updated", self._engine.request(Atom("update"), text, timeout_s=10.0 + len(text) / 1e6))
+
+    def ask(
+        self,
+        goal: str,
+        *,
+        limit: int = 100,
+        timeout_s: float = 1.0,
+        explain: bool = False,
+        viewer: Viewer = None,
+    ) -> Reply:
+        """Ask a goal in the vocabulary, within limits; never raises for what is wrong with the goal.
+
+        viewer : whose left and right is meant: an id, or a point x, y, z in the map frame [m]
+        """
+        started = time.perf_counter()
+        options = Compound(
+            "options",
+            (
+                int(limit),
+                float(timeout_s),
+                int(timeout_s * _INFERENCES_PER_SECOND),
+                Atom("true" if explain else "false"),
+                _viewer(viewer),
+            ),
+        )
+        result = self._engine.request(Compound("ask", (options,)), goal, timeout_s=timeout_s)
+        elapsed_ms = (time.perf_counter() - started) * 1e3
+        if _is(result, "problem"):
+            return Reply("unknown", problem=_problem(result), elapsed_ms=elapsed_ms)
+        truth, names, rows, truncated, trouble, reasons = cast(Compound, result).args
+        children = tuple([_explanation(reason) for reason in cast(list[Term], reasons)])
+        return Reply(
+            truth=cast(Truth, str(truth)),
+            answers=_answers(names, rows),
+            truncated=truncated == Atom("true"),
+            problem=_problem(trouble) if _is(trouble, "problem") else None,
+            explanation=_joined(goal, cast(Truth, str(truth)), children) if explain else None,
+            elapsed_ms=elapsed_ms,
+        )
+
+    def call(
+        self, goal: Compound | Atom | str, *, timeout_s: float = 10.0, limit: int = 1_000_000
+    ) -> list[dict[str, Term]]:
+        """Run a goal of our own: unchecked, every exported rule predicate in sight. Raises `GoalFailed`.
+
+        Variables are named: `kb.call(Compound("near_distance", (Atom("a"), Atom("b"), Var("D"))))` → `[{"D": 0.5}]`.
+        """
+        text = goal if isinstance(goal, str) else term_text(goal)
+        result = self._engine.request(Compound("call", (int(limit), float(timeout_s))), text, timeout_s=timeout_s)
+        names, rows = self._expect("answers", result).args
+        return list(_answers(names, rows))
+
+    def derived_edges(self, ids: Iterable[str]) -> tuple[list[str], list[DerivedEdge]]:
+        """Every edge that the rules now derive at `ids` and at what stands on them.
+
+        Returns the ids that were looked at (sorted) and all derived edges, in both directions, that begin or end there:
+        stored derived edges at these ids that are not among them no longer hold.
+        """
+        things: list[Any] = [Atom(node) for node in ids]
+        goal = Compound("affected_edges", (things, Var("Ids"), Var("Edges")))
+        [answer] = self.call(goal, timeout_s=30.0)
+        edges = [DerivedEdge(*_edge_fields(edge.args)) for edge in cast(list[Compound], answer["Edges"])]
+        return [atom.name for atom in cast(list[Atom], answer["Ids"])], edges
+
+    def phrase(self, text: str) -> Phrase:
+        """What a phrase such as "near the oven" or "the red cup on the table" means; see `Phrase`."""
+        result = self._engine.request(Atom("phrase"), text, timeout_s=1.0)
+        if _is(result, "problem"):
+            return Phrase("thing", "", problem=_problem(result))
+        kind, relation, names, goal = cast(Compound, result).args
+        return Phrase(
+            kind=cast(Literal["thing", "place"], str(kind)),
+            goal=str(goal),
+            variables=tuple([str(name) for name in cast(list[Term], names)]),
+            relation=None if relation == Atom("none") else str(relation),
+        )
+
+    @staticmethod
+    def _expect(name: str, result: Term) -> Compound:
+        if _is(result, "problem"):
+            trouble = _problem(result)
+            raise GoalFailed(trouble.message, hint=trouble.hint, code=trouble.code)
+        return cast(Compound, result)
+
+
+def _is(term: Term, name: str) -> bool:
+    return type(term) is Compound and term.name == name
+
+
+def _problem(term: Term) -> Problem:
+    code, message, hint = cast(Compound, term).args
+    return Problem(str(code), str(message), str(hint) or None)
+
+
+def _answers(names: Term, rows: Term) -> tuple[dict[str, Term], ...]:
+    keys = [str(name) for name in cast(list[Term], names)]
+    return tuple([dict(zip(keys, row, strict=True)) for row in cast(list[list[Term]], rows)])
+
+
+def _viewer(viewer: Viewer) -> Term:
+    if viewer is None:
+        return Atom("none")
+    if isinstance(viewer, str):
+        return Atom(viewer)
+    x, y, z = viewer
+    return Compound("point", (float(x), float(y), float(z)))
+
+
+def _edge_fields(fields: tuple[Term, ...]) -> tuple[str, str, str, float, float, float]:
+    relation, source, target, value, threshold, confidence = cast(tuple[Any, ...], fields)
+    return relation.name, source.name, target.name, value, threshold, confidence
+
+
+def _test(term: Term) -> Test:
+    name, value, comparison, threshold_name, threshold, unit = cast(Compound, term).args
+    return Test(
+        measurement=str(name),
+        value=value,
+        comparison=str(comparison),
+        threshold_name=str(threshold_name),
+        threshold=threshold,
+        unit=None if unit == Atom("none") else str(unit),
+    )
+
+
+def _explanation(term: Term) -> Explanation:
+    goal, truth, rule, tests, evidence, children = cast(Compound, term).args
+    return Explanation(
+        goal=str(goal),
+        truth=cast(Truth, str(truth)),
+        rule=str(rule),
+        tests=tuple([_test(test) for test in cast(list[Term], tests)]),
+        evidence=tuple(cast(list[Term], evidence)),
+        children=tuple([_explanation(child) for child in cast(list[Term], children)]),
+    )
+
+
+def _joined(goal: str, truth: Truth, children: tuple[Explanation, ...]) -> Explanation:
+    if len(children) == 1 and children[0].goal == "what is asked":
+        children = children[0].children
+    return Explanation(goal=goal, truth=truth, children=children)
+
+
+def _brief(value: Term) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _plain(value: Term) -> Any:
+    return value if isinstance(value, (int, float, str)) else term_text(value)

@@ -1,0 +1,379 @@
+:- module(explain,
+          [ explain/5                   % +Goal, +Bindings, +Rows, +Truth, -Explanations
+          ]).
+:- use_module(library(lists)).
+:- use_module(library(apply)).
+:- use_module(library(solution_sequences)).
+:- use_module(facts).
+:- use_module(taxonomy).
+:- use_module(spatial).
+:- use_module(rooms).
+:- use_module(viewpoint).
+:- use_module(vocabulary).
+:- use_module(goals).
+
+/** <module> Why, and why not
+
+An explanation is
+
+    because(Text, Truth, Rule, Tests, Evidence, Children)
+
+with the goal as it was asked or as it was found to hold, the rule in words, the
+tests that decided, test(Measurement, Value, Comparison, ThresholdName,
+Threshold, Unit), the facts they rest on, and explanations of its parts. For a
+goal that does not hold the children are the candidates that came closest.
+*/
+
+%   Explaining a few answers is enough to be believed, and keeps a reply short.
+explained_answers(3).
+candidates_shown(3).
+candidates_weighed(200).
+
+%!  explain(+Goal, +Bindings, +Rows, +Truth, -Explanations:list) is det.
+
+explain(Goal, Bindings, Rows, true, Explanations) :-
+    !,
+    explained_answers(Most),
+    findall(because(Text, true, "", [], [], Children),
+            ( nth1(Index, Rows, Row),
+              Index =< Most,
+              copy_term(Goal-Bindings, Copy-Bound),
+              maplist(bind, Bound, Row),
+              answer_text(Bindings, Row, Text),
+              once(proof(Copy, Bindings, true, Children, [])) ),
+            Explanations).
+explain(Goal, Bindings, _, unknown, [because("what is asked", unknown, "", [], [], Children)]) :-
+    once(proof(Goal, Bindings, unknown, Children, [])),
+    !.
+explain(Goal, Bindings, _, Truth, [because("what is asked", Truth, "", [], [], [Child])]) :-
+    why_not(Goal, Bindings, Child),
+    !.
+explain(_, _, _, _, []).
+
+bind(_=Value, Value).
+
+answer_text([], _, "what is asked") :- !.
+answer_text(Bindings, Row, Text) :-
+    maplist(equation, Bindings, Row, Equations),
+    atomic_list_concat(Equations, ', ', Atom),
+    atom_string(Atom, Text).
+
+equation(Name=_, Value, Equation) :-
+    format(atom(Equation), "~w = ~q", [Name, Value]).
+
+                /*******************************
+                *             WHY              *
+                *******************************/
+
+%   proof(+Goal, +Bindings, +Reading, -Explanations, ?Rest): one explanation a literal, for a solution of Goal.
+
+proof(and(A, B), Names, Reading, List, Rest) :- !,
+    proof(A, Names, Reading, List, List1),
+    proof(B, Names, Reading, List1, Rest).
+proof(or(A, B), Names, Reading, List, Rest) :- !,
+    (   proof(A, Names, Reading, List, Rest)
+    ;   proof(B, Names, Reading, List, Rest)
+    ).
+proof(if(A, B, C), Names, Reading, List, Rest) :- !,
+    (   proof(A, Names, Reading, List, List1),
+        proof(B, Names, Reading, List1, Rest)
+    ;   proof(not(A), Names, Reading, List, List1),
+        proof(C, Names, Reading, List1, Rest)
+    ).
+proof(once(A), Names, Reading, List, Rest) :- !,
+    proof(A, Names, Reading, List, Rest).
+proof(sequence(_, A), Names, Reading, List, Rest) :- !,
+    proof(A, Names, Reading, List, Rest).
+proof(literal(Call, Hidden, _), Names, Reading, [Because|Rest], Rest) :- !,
+    (   possible_or_certain(Reading, Hidden, Call)
+    *-> true
+    ;   fail
+    ),
+    literal_because(Call, Hidden, Names, Because).
+proof(plain(Call), Names, Reading, [because(Text, true, "", [], [], [])|Rest], Rest) :- !,
+    readings(plain(Call), Certain, Possible),
+    ( Reading == true -> call(Certain) ; call(Possible) ),
+    text(Call, Names, Text).
+proof(Goal, Names, Reading, [because(Text, Truth, Rule, [], [], [])|Rest], Rest) :-
+    readings(Goal, Certain, Possible),
+    (   call(Certain)
+    *-> Truth = true
+    ;   Reading == unknown,
+        call(Possible),
+        Truth = unknown
+    ),
+    quantifier_rule(Goal, Truth, Rule),
+    goal_text(Goal, Names, Text).
+
+quantifier_rule(not(_), true, "no candidate is possible") :- !.
+quantifier_rule(not(_), unknown, "nothing is known to hold it, but a candidate is open") :- !.
+quantifier_rule(all(_, _), true, "it holds of every candidate") :- !.
+quantifier_rule(all(_, _), unknown, "it is open for a candidate") :- !.
+quantifier_rule(_, true, "every candidate is decided") :- !.
+quantifier_rule(_, _, "a candidate is open").
+
+possible_or_certain(true, Hidden, Call) :-
+    readings(literal(Call, [], []), Certain, _),
+    call(Certain),
+    instances(Hidden).
+possible_or_certain(unknown, Hidden, Call) :-
+    possible_instances(Hidden),
+    readings(literal(Call, [], []), _, Possible),
+    call(Possible).
+
+instances([]).
+instances([Thing-Class|Hidden]) :-
+    once(instance_of(Thing, Class)),
+    instances(Hidden).
+
+possible_instances([]).
+possible_instances([Thing-Class|Hidden]) :-
+    possible_instance(Thing, Class),
+    possible_instances(Hidden).
+
+literal_because(Call, Hidden, Names, because(Text, Truth, Rule, Tests, Evidence, Children)) :-
+    text(Call, Names, Text),
+    rule_text(Call, Rule),
+    (   reason(Call, Truth0, Tests0, Evidence0)
+    ->  Truth = Truth0,
+        maplist(with_unit, Tests0, Tests),
+        Evidence = Evidence0
+    ;   Truth = unknown,
+        Tests = [],
+        Evidence = []
+    ),
+    findall(Child, ( member(Thing-Class, Hidden), class_because(Thing, Class, Child) ), Children).
+
+class_because('$some'(Class), _, because(Text, unknown, "part of the world is unobserved", [], [unobserved(world)], [])) :-
+    !,
+    format(string(Text), "no ~w is known", [Class]).
+class_because(Thing, Class, because(Text, true, "", [], Evidence, [])) :-
+    format(string(Text), "instance_of(~q, ~q)", [Thing, Class]),
+    reason(instance_of(Thing, Class), _, _, Evidence),
+    !.
+
+%   reason(+Call, -Truth, -Tests, -Evidence) is nondet: on what a literal with its values rests.
+
+reason(Call, unknown, [], []) :-
+    Call =.. [_|Arguments],
+    memberchk('$some'(_), Arguments),
+    !.
+reason(Call, Truth, Tests, Evidence) :-
+    spatial_call(Call, Relation, A, B),
+    (   judged(Relation, A, B, Truth, Tests), Truth == true -> true
+    ;   edge(_, _, _, _, _, _), stored(Call, Edge) -> Truth = true, Tests = [], Evidence = [Edge]
+    ;   judged(Relation, A, B, Truth, Tests), Truth \== false -> true
+    ;   judged(Relation, A, B, Truth, Tests) -> true
+    ),
+    !,
+    (   var(Evidence)
+    ->  findall(Fact, evidence(Tests, A, B, Fact), Evidence)
+    ;   true
+    ).
+reason(Call, true, [], [Edge]) :-
+    stored(Call, Edge),
+    !.
+reason(Call, true, Tests, Evidence) :-
+    from_viewpoint(Call, Relation, A, B, Viewer),
+    seen_from(Relation, A, B, Viewer, Tests),
+    !,
+    findall(position(Id, X, Y, Z), ( member(Id, [A, B, Viewer]), position(Id, X, Y, Z) ), Evidence).
+reason(instance_of(Id, Class), true, [], Evidence) :-
+    instance_of(Id, Class),
+    !,
+    findall(Fact, class_evidence(Id, Class, Fact), Evidence).
+reason(room_type(Room, Type), true, [], [Reason]) :-
+    room_type(Room, Type, Reason),
+    !.
+reason(gap(A, B, _), true, [], [measured(gap, A, B, Value)]) :-
+    mutual(gap, A, B, Value),
+    !.
+reason(next_to(A, B), Truth, Tests, Evidence) :-
+    reason(near(A, B), Truth, Tests, Evidence),
+    !.
+reason(Call, true, [], [Call]) :-
+    predicate_property(facts:Call, dynamic),
+    catch(facts:Call, _, fail),
+    !.
+reason(Module:Call, true, [], [Call]) :-
+    call(Module:Call),
+    !.
+reason(Call, true, [], []) :-
+    Call \= _:_,
+    call(vocabulary:Call),
+    !.
+
+spatial_call(Call, Relation, A, B) :-
+    Call =.. [Word, X, Y],
+    (   inverse(Relation, Word)
+    ->  A = Y, B = X
+    ;   ( symmetric(Word) -> true ; inverse(Word, _) )
+    ->  Relation = Word, A = X, B = Y
+    ).
+
+stored(Call, edge(Relation, A, B, Value, Threshold, Confidence)) :-
+    Call =.. [Relation, A, B],
+    edge(Relation, A, B, Value, Threshold, Confidence),
+    !.
+
+from_viewpoint(Call, Relation, A, B, Viewer) :-
+    Call =.. [Relation, A, B|More],
+    memberchk(Relation, [in_front_of, behind, left_of, right_of]),
+    ( More = [Viewer] -> true ; viewer(Viewer) ).
+
+evidence(Tests, A, B, measured(Name, A, B, Value)) :-
+    member(test(Name, Value, _, _, _), Tests),
+    ( measured(Name, A, B, Value) -> true ; measured(Name, B, A, Value) ).
+evidence(_, A, B, seen(Id, First, Last)) :-
+    member(Id, [A, B]),
+    seen(Id, First, Last).
+
+class_evidence(Id, _, label(Id, Label)) :- label(Id, Label).
+class_evidence(Id, Class, subclass(Label, Class)) :- label(Id, Label), Label \== Class, once(subclass(Label, Class)).
+class_evidence(Id, Class, room_type(Id, Class, Reason)) :- room_type(Id, Class, Reason).
+class_evidence(Id, Class, named(Id, Name)) :- named(Id, Name), \+ label(Id, Class).
+class_evidence(Id, Class, node(Id, Class)) :- node(Id, Class).
+
+with_unit(test(Name, Value, Comparison, Threshold, Limit), test(Name, Value, Comparison, Threshold, Limit, Unit)) :-
+    ( threshold(Threshold, _, Unit0, _) -> Unit = Unit0
+    ; memberchk(Threshold, [near_distance, contact_gap, reach]) -> Unit = metre
+    ; Unit = none
+    ).
+
+rule_text(_:Call, Text) :- !,
+    functor(Call, Name, Arity),
+    format(string(Text), "~w/~d: a user's rule", [Name, Arity]).
+rule_text(Call, Text) :-
+    functor(Call, Name, Arity),
+    functor(Head, Name, Arity),
+    (   signature(Head, Documentation)
+    ->  format(string(Text), "~w/~d: ~w", [Name, Arity, Documentation])
+    ;   Text = ""
+    ).
+
+                /*******************************
+                *           WHY NOT            *
+                *******************************/
+
+%   why_not(+Goal, +Bindings, -Because): the first part that fails when those before it hold.
+
+why_not(Goal, Names, Because) :-
+    conjuncts(Goal, Parts, []),
+    first_failure(Parts, true, Before, Part),
+    failure(Part, Before, Names, Because).
+
+conjuncts(and(A, B), Parts, Rest) :- !,
+    conjuncts(A, Parts, Parts1),
+    conjuncts(B, Parts1, Rest).
+conjuncts(Goal, [Goal|Rest], Rest).
+
+first_failure([Part|Parts], Before, Prefix, Failing) :-
+    readings(Part, Certain, _),
+    (   \+ \+ ( call(Before), call(Certain) )
+    ->  first_failure(Parts, ( Before, Certain ), Prefix, Failing)
+    ;   Prefix = Before,
+        Failing = Part
+    ).
+
+failure(literal(Call, Hidden, _), Before, Names, because(Text, false, Rule, [], Evidence, Children)) :- !,
+    source_text(Call, Hidden, Names, Text),
+    rule_text(Call, Rule),
+    missing_classes(Hidden, Evidence),
+    candidates_weighed(Most),
+    findall(Distance-Child,
+            limit(Most, ( call(Before), candidate(Call, Hidden, Names, Distance, Child) )),
+            Children0),
+    sort(Children0, Children1),
+    candidates_shown(Shown),
+    findall(C, ( nth1(I, Children1, _-C), I =< Shown ), Children).
+failure(Part, _, Names, because(Text, false, Rule, [], [], [])) :-
+    goal_text(Part, Names, Text),
+    ( Part = not(_) -> Rule = "it holds of a candidate"
+    ; Part = all(_, _) -> Rule = "a candidate is an exception"
+    ; Rule = "" ).
+
+missing_classes(Hidden, Missing) :-
+    findall(no_instance(Class), ( member(_-Class, Hidden), \+ instance_of(_, Class) ), Missing).
+
+candidate(Call, Hidden, Names, Distance, because(Text, Truth, "", Tests, Evidence, [])) :-
+    spatial_call(Call, Relation, A, B),
+    instances_of(Hidden),
+    judged(Relation, A, B, Truth, Tests0),
+    Truth \== true,
+    shortfall(Tests0, Distance),
+    text(Call, Names, Text),
+    maplist(with_unit, Tests0, Tests),
+    findall(Fact, evidence(Tests0, A, B, Fact), Evidence).
+
+instances_of([]).
+instances_of([Thing-Class|Hidden]) :-
+    instance_of(Thing, Class),
+    instances_of(Hidden).
+
+%   shortfall(+Tests, -Distance): how far the worst test is from its threshold, in thresholds; unknown comes first.
+shortfall(Tests, Distance) :-
+    findall(D, ( member(Test, Tests), short_by(Test, D) ), Ds),
+    foldl(larger_of, Ds, 0, Distance).
+
+short_by(test(_, Value, Comparison, _, Threshold), By) :-
+    number(Value),
+    number(Threshold),
+    (   memberchk(Comparison, [>=, >])
+    ->  Short is Threshold-Value
+    ;   Short is Value-Threshold
+    ),
+    By is max(0, Short)/max(abs(Threshold), 0.1).
+
+larger_of(A, B, C) :- C is max(A, B).
+
+                /*******************************
+                *             TEXT             *
+                *******************************/
+
+text(_:Call, Names, Text) :- !,
+    text(Call, Names, Text).
+text(Call, Names, Text) :-
+    readable(Call, Readable),
+    write_text(Readable, Names, Text).
+
+%   An unseen instance is written as its class.
+readable('$some'(Class), Class) :- !.
+readable(Term, Term) :- \+ compound(Term), !.
+readable(Term, Readable) :-
+    Term =.. [Name|Arguments],
+    maplist(readable, Arguments, Readables),
+    Readable =.. [Name|Readables].
+
+source_text(Call, Hidden, Names, Text) :-
+    copy_term(Call-Hidden-Names, Copy-Classes-CopiedNames),
+    maplist(as_class, Classes),
+    text(Copy, CopiedNames, Text).
+
+as_class(Class-Class).
+
+goal_text(Goal, Names, Text) :-
+    copy_term(Goal-Names, Copy-CopiedNames),
+    source(Copy, Source),
+    write_text(Source, CopiedNames, Text).
+
+write_text(Term, Names, Text) :-
+    include(unbound, Names, Variables),
+    with_output_to(string(Text),
+                   write_term(Term, [quoted(true), variable_names(Variables), spacing(next_argument), max_depth(50)])).
+
+unbound(_=Value) :- var(Value).
+
+%   source(+Goal, -Source): a checked goal as it was asked.
+source(literal(Call, Hidden, _), Source) :- !,
+    maplist(as_class, Hidden),
+    ( Call = _:Source -> true ; Source = Call ).
+source(plain(Call), Call) :- !.
+source(and(A, B), (SA, SB)) :- !, source(A, SA), source(B, SB).
+source(or(A, B), (SA ; SB)) :- !, source(A, SA), source(B, SB).
+source(if(A, B, C), (SA -> SB ; SC)) :- !, source(A, SA), source(B, SB), source(C, SC).
+source(not(A), \+ SA) :- !, source(A, SA).
+source(all(A, B), forall(SA, SB)) :- !, source(A, SA), source(B, SB).
+source(once(A), once(SA)) :- !, source(A, SA).
+source(sequence(How, A), Source) :- !, source(A, SA), How =.. List, append(List, [SA], Call), Source =.. Call.
+source(collect(findall(T, Bag), _, A), findall(T, SA, Bag)) :- !, source(A, SA).
+source(collect(aggregate_all(Spec, Result), _, A), aggregate_all(Spec, SA, Result)) :- source(A, SA).

@@ -1,0 +1,501 @@
+:- module(goals,
+          [ read_goal/3,                % +Text, -Goal, -Bindings
+            readings/3,                 % +Goal, -Certain, -Possible
+            visible_variables/2,        % +Goal, -Variables
+            nearest/3,                  % +Name, +Candidates, -Nearest
+            some/2,                     % ?Visible, :Goal
+            maybe/1,                    % :Goal
+            settled/4                   % +Template, :Certain, :Possible, -Bag
+          ]).
+:- use_module(library(lists)).
+:- use_module(library(apply)).
+:- use_module(library(aggregate)).
+:- use_module(library(solution_sequences)).
+:- use_module(library(isub)).
+:- use_module(facts).
+:- use_module(vocabulary).
+
+/** <module> From the text of a question to two goals that may be run
+
+read_goal/3 checks a question against the vocabulary and turns it into a tree:
+
+  * literal(Call, Hidden, Visible): a word of the vocabulary; Hidden is a list of
+    Variable-Class for the class names that stood in it
+  * plain(Call): logic-free builtins (comparison, arithmetic, lists)
+  * and/2, or/2, if/3, not/1, all/2, once/1, collect/3, sequence/2
+
+What is not in the vocabulary and not in the short lists below is refused before
+anything runs. readings/3 compiles the tree into what is certain and what is
+possible; negation swaps the two.
+*/
+
+:- meta_predicate
+    some(?, 0),
+    maybe(0),
+    settled(+, 0, 0, -).
+
+longest_goal(20_000).
+
+%!  read_goal(+Text:string, -Goal, -Bindings) is det.
+%
+%   Bindings is a list of Name=Variable for the visible variables.
+%
+%   @error problem(Code, Message, Hint) and syntax errors
+
+read_goal(Text, Goal, Bindings) :-
+    string_length(Text, Length),
+    longest_goal(Longest),
+    (   Length =< Longest
+    ->  true
+    ;   throw(problem(resource_limit, "the goal is longer than 20 000 characters", ""))
+    ),
+    tidy(Text, Tidy),
+    term_string(Term, Tidy, [ module(vocabulary), variable_names(All), syntax_errors(error),
+                              double_quotes(string), cycles(false) ]),
+    maplist(not_a_class, All),
+    exclude(underscored, All, Bindings),
+    check(Term, Goal).
+
+tidy(Text, Tidy) :-
+    split_string(Text, "", " \t\r\n", [Trimmed]),
+    (   string_concat("?-", Rest, Trimmed)
+    ->  Tidy = Rest
+    ;   Trimmed == ""
+    ->  throw(problem(syntax_error, "the goal is empty", "ask, for example, near(X, oven)"))
+    ;   Tidy = Trimmed
+    ).
+
+underscored(Name=_) :-
+    sub_atom(Name, 0, 1, _, '_').
+
+not_a_class(Name=_) :-
+    atom_length(Name, Length),
+    Length > 1,
+    lower_snake(Name, Class),
+    ( known_class(Class) ; Class \== Name, downcase_atom(Name, Class2), known_class(Class2), Class = Class2 ),
+    !,
+    format(string(Message), "~w is a variable, since it begins with a capital letter, and the name of a class", [Name]),
+    format(string(Hint), "did you mean `~w`?", [Class]),
+    throw(problem(unknown_name, Message, Hint)).
+not_a_class(_).
+
+lower_snake(Name, Class) :-
+    atom_chars(Name, [First|Chars]),
+    downcase_atom(First, Low),
+    snake(Chars, Snaked),
+    atomic_list_concat([Low|Snaked], Joined),
+    ( known_class(Joined) -> Class = Joined ; downcase_atom(Name, Class) ).
+
+snake([], []).
+snake([Char|Chars], Snaked) :-
+    (   char_type(Char, upper(Low))
+    ->  Snaked = ['_', Low|Rest]
+    ;   Snaked = [Char|Rest]
+    ),
+    snake(Chars, Rest).
+
+                /*******************************
+                *           CHECKING           *
+                *******************************/
+
+check(Term, _) :-
+    var(Term),
+    !,
+    throw(problem(forbidden, "a variable cannot be asked", "")).
+check((A, B), and(GA, GB)) :- !,
+    check(A, GA),
+    check(B, GB).
+check((If -> Then ; Else), if(GIf, GThen, GElse)) :- !,
+    check(If, GIf),
+    check(Then, GThen),
+    check(Else, GElse).
+check((A ; B), or(GA, GB)) :- !,
+    check(A, GA),
+    check(B, GB).
+check((If -> Then), if(GIf, GThen, plain(fail))) :- !,
+    check(If, GIf),
+    check(Then, GThen).
+check(\+ A, not(G)) :- !,
+    check(A, G).
+check(not(A), not(G)) :- !,
+    check(A, G).
+check(forall(If, Then), all(GIf, GThen)) :- !,
+    check(If, GIf),
+    check(Then, GThen).
+check(once(A), once(G)) :- !,
+    check(A, G).
+check(call(A), G) :- !,
+    check(A, G).
+check(distinct(A), G) :- !,
+    check(A, G).
+check(findall(Template, A, Bag), collect(findall(Template, Bag), Template, G)) :- !,
+    check(A, G).
+check(aggregate_all(Spec, A, Result), collect(aggregate_all(Spec, Result), Template, G)) :- !,
+    spec_template(Spec, Template0),
+    check(A, G),
+    ( Template0 == all -> visible_variables(G, Template) ; Template = Template0 ).
+check(limit(Count, A), sequence(limit(Count), G)) :- !,
+    check(A, G).
+check(order_by(Specs, A), sequence(order_by(Specs), G)) :- !,
+    check(A, G).
+check(_:_, _) :- !,
+    throw(problem(forbidden, "a goal may not name a module", "")).
+check(name(Id, Name), Goal) :- !,
+    check(named(Id, Name), Goal).
+check(Term, literal(Call, Hidden, Visible)) :-
+    callable(Term),
+    functor(Term, Name, Arity),
+    askable(Name, Arity, Kinds, Module),
+    !,
+    Term =.. [_|Arguments],
+    arguments(Arguments, Kinds, Name/Arity, 1, Called, Hidden),
+    Call0 =.. [Name|Called],
+    ( Module == vocabulary -> Call = Call0 ; Call = Module:Call0 ),
+    pairs_keys(Hidden, HiddenVariables),
+    term_variables(Called, Variables),
+    exclude(among(HiddenVariables), Variables, Visible).
+check(Term, plain(Term)) :-
+    callable(Term),
+    plain(Term),
+    !.
+check(Term, _) :-
+    callable(Term),
+    !,
+    refuse(Term).
+check(Term, _) :-
+    format(string(Message), "~q is not a goal", [Term]),
+    throw(problem(syntax_error, Message, "ask, for example, near(X, oven)")).
+
+among(List, Variable) :-
+    member(Other, List),
+    Other == Variable,
+    !.
+
+pairs_keys([], []).
+pairs_keys([Key-_|Pairs], [Key|Keys]) :-
+    pairs_keys(Pairs, Keys).
+
+%   askable(+Name, +Arity, -Kinds, -Module): a word of the vocabulary, or of a user's rule file.
+askable(Name, Arity, Kinds, vocabulary) :-
+    functor(Head, Name, Arity),
+    signature(Head, _),
+    !,
+    Head =.. [_|Kinds].
+askable(Name, Arity, Kinds, user_rules) :-
+    functor(Head, Name, Arity),
+    current_predicate(user_rules:Name/Arity),
+    \+ predicate_property(user_rules:Head, imported_from(_)),
+    length(Kinds, Arity),
+    maplist(=(any), Kinds).
+
+arguments([], [], _, _, [], []).
+arguments([Argument|Arguments], [Kind|Kinds], Word, Index, [Called|CalledMore], Hidden) :-
+    argument(Kind, Argument, Word, Index, Called, Hidden, HiddenMore),
+    Next is Index+1,
+    arguments(Arguments, Kinds, Word, Next, CalledMore, HiddenMore).
+
+argument(_, Argument, _, _, Argument, Hidden, Hidden) :-
+    var(Argument),
+    !.
+argument(thing, Argument, _, _, Called, Hidden, HiddenMore) :-
+    atom(Argument),
+    !,
+    thing(Argument, Called, Hidden, HiddenMore).
+argument(any, Argument, _, _, Called, Hidden, HiddenMore) :-
+    !,
+    (   atom(Argument),
+        \+ node(Argument, _),
+        known_class(Argument)
+    ->  Hidden = [Called-Argument|HiddenMore]
+    ;   Called = Argument,
+        Hidden = HiddenMore
+    ).
+argument(Kind, Argument, Word, Index, Argument, Hidden, Hidden) :-
+    (   fits(Kind, Argument)
+    ->  known(Kind, Argument)
+    ;   Word = Name/Arity,
+        format(string(Message), "~w/~d: argument ~d is ~q: expected a ~w", [Name, Arity, Index, Argument, Kind]),
+        throw(problem(bad_argument, Message, ""))
+    ).
+
+thing(Atom, Atom, Hidden, Hidden) :-
+    node(Atom, _),
+    !.
+thing(Atom, Called, [Called-Atom|Hidden], Hidden) :-
+    (   known_class(Atom)
+    ;   once(instance_of(_, Atom))
+    ),
+    !.
+thing(Atom, _, _, _) :-
+    findall(Known, ( node(Known, _) ; known_class(Known) ), Names),
+    unknown_name(Atom, Names).
+
+fits(number, Argument) :- number(Argument).
+fits(text, Argument) :- ( string(Argument) ; atom(Argument) ).
+fits(value, _).
+fits(Kind, Argument) :-
+    memberchk(Kind, [class, key, layer, measurement]),
+    atom(Argument).
+
+known(class, Class) :- !,
+    ( known_class(Class) -> true ; findall(C, known_class(C), Names), unknown_name(Class, Names) ).
+known(key, Key) :- !,
+    ( attribute(_, Key, _) -> true ; findall(K, known_key(K), Names), memberchk(Key, Names) -> true
+    ; findall(K, known_key(K), Names), unknown_name(Key, Names) ).
+known(layer, Layer) :- !,
+    Layers = [building, storey, room, place, object, structure, agent],
+    ( memberchk(Layer, Layers) -> true ; unknown_name(Layer, Layers) ).
+known(measurement, Name) :- !,
+    ( facts:store(Name, _, _) -> true ; findall(N, facts:store(N, _, _), Names), unknown_name(Name, Names) ).
+known(value, Value) :-
+    atom(Value),
+    !,
+    (   attribute(_, _, Value) -> true
+    ;   findall(V, known_value(V), Names),
+        ( memberchk(Value, Names) -> true ; unknown_name(Value, Names) )
+    ).
+known(_, _).
+
+known_key(Key) :- attribute(_, Key, _).
+known_key(color).
+known_key(colour).
+known_key(material).
+known_key(state).
+known_key(type).
+known_key(front).
+
+known_value(Value) :- attribute(_, _, Value), atom(Value).
+known_value(Value) :- type_name(Value).
+known_value(Value) :-
+    member(Value, [ red, green, blue, yellow, orange, brown, black, white, grey, gray, pink, purple, beige,
+                    open, closed, true, false, wood, metal, glass, plastic, fabric, stone, ceramic, paper ]).
+
+type_name(Type) :- rooms:type_of_room(Type).
+
+unknown_name(Atom, Names) :-
+    nearest(Atom, Names, Nearest),
+    format(string(Message), "~q is neither an id, a class, a name nor a value that is known", [Atom]),
+    did_you_mean(Nearest, Hint),
+    throw(problem(unknown_name, Message, Hint)).
+
+did_you_mean([], "") :- !.
+did_you_mean(Names, Hint) :-
+    maplist(in_backquotes, Names, Quoted),
+    atomic_list_concat(Quoted, ', ', List),
+    format(string(Hint), "did you mean ~w?", [List]).
+
+in_backquotes(Name, Quoted) :-
+    format(atom(Quoted), "`~w`", [Name]).
+
+%!  nearest(+Name:atom, +Candidates:list(atom), -Nearest:list(atom)) is det.
+%
+%   The up to three Candidates that are spelled most like Name, best first.
+
+nearest(Name, Candidates, Nearest) :-
+    sort(Candidates, Unique),
+    findall(Likeness-Candidate,
+            ( member(Candidate, Unique),
+              isub(Name, Candidate, Likeness, [normalize(true), zero_to_one(true)]),
+              Likeness > 0.6 ),
+            Scored),
+    sort(1, @>=, Scored, Sorted),
+    findall(C, ( nth1(I, Sorted, _-C), I =< 3 ), Nearest).
+
+refuse(Term) :-
+    functor(Term, Name, Arity),
+    functor(Head, Name, Arity),
+    (   findall(A, ( signature(Other, _), functor(Other, Name, A) ), [Right|_])
+    ->  functor(Known, Name, Right),
+        signature(Known, _),
+        format(string(Message), "~w/~d is not known: ~w takes ~d arguments", [Name, Arity, Name, Right]),
+        format(string(Hint), "~w", [Known]),
+        throw(problem(unknown_predicate, Message, Hint))
+    ;   (   predicate_property(system:Head, defined)
+        ;   predicate_property(user:Head, autoload(_))
+        ;   memberchk(Name, [setof, bagof, assert])
+        )
+    ->  format(string(Message), "~w/~d may not be asked: questions use the vocabulary, logic, comparison and arithmetic",
+               [Name, Arity]),
+        throw(problem(forbidden, Message, ""))
+    ;   known_class(Name)
+    ->  format(string(Message), "~w/~d is not a predicate but a class", [Name, Arity]),
+        format(string(Hint), "did you mean instance_of(X, ~w)?", [Name]),
+        throw(problem(unknown_predicate, Message, Hint))
+    ;   findall(Word, ( signature(Known, _), functor(Known, Word, _) ), Words),
+        nearest(Name, Words, Nearest),
+        format(string(Message), "~w/~d is not known", [Name, Arity]),
+        did_you_mean(Nearest, Hint),
+        throw(problem(unknown_predicate, Message, Hint))
+    ).
+
+%   plain(+Term): what may be called besides the vocabulary; nothing here changes anything or reaches outside.
+plain(true).            plain(fail).            plain(false).           plain(repeat).
+plain(_ = _).           plain(_ \= _).          plain(_ == _).          plain(_ \== _).
+plain(_ @< _).          plain(_ @=< _).         plain(_ @> _).          plain(_ @>= _).
+plain(_ is _).          plain(_ =:= _).         plain(_ =\= _).
+plain(_ < _).           plain(_ =< _).          plain(_ > _).           plain(_ >= _).
+plain(var(_)).          plain(nonvar(_)).       plain(ground(_)).
+plain(atom(_)).         plain(number(_)).       plain(integer(_)).      plain(string(_)).
+plain(between(_, _, _)).                        plain(succ(_, _)).      plain(plus(_, _, _)).
+plain(length(_, _)).    plain(member(_, _)).    plain(memberchk(_, _)). plain(nth0(_, _, _)).
+plain(nth1(_, _, _)).   plain(append(_, _, _)). plain(reverse(_, _)).   plain(last(_, _)).
+plain(msort(_, _)).     plain(sort(_, _)).      plain(sort(_, _, _, _)).
+plain(sum_list(_, _)).  plain(max_list(_, _)).  plain(min_list(_, _)).
+plain(max_member(_, _)).                        plain(min_member(_, _)).
+plain(select(_, _, _)). plain(subtract(_, _, _)).                       plain(intersection(_, _, _)).
+plain(union(_, _, _)).  plain(list_to_set(_, _)).
+
+%   spec_template(+Spec, -Template): what an aggregate collects; `all` for the variables of its goal.
+spec_template(Spec, all) :-
+    Spec == count,
+    !.
+spec_template(Spec, Spec) :-
+    compound(Spec),
+    functor(Spec, Kind, Arity),
+    memberchk(Kind/Arity, [count/1, sum/1, max/1, min/1, bag/1, set/1, max/2, min/2]),
+    !.
+spec_template(Spec, _) :-
+    format(string(Message), "aggregate_all: ~q is not count, count(X), sum(X), max(X), min(X), bag(X) or set(X)", [Spec]),
+    throw(problem(bad_argument, Message, "")).
+
+%!  visible_variables(+Goal, -Variables) is det.
+%
+%   The variables of a checked goal, without those that stand for a class name.
+
+visible_variables(Goal, Variables) :-
+    hidden_variables(Goal, Hidden, []),
+    term_variables(Goal, All),
+    exclude(among(Hidden), All, Variables).
+
+hidden_variables(literal(_, Pairs, _), Hidden, Rest) :- !,
+    pairs_keys(Pairs, Keys),
+    append(Keys, Rest, Hidden).
+hidden_variables(Goal, Hidden, Rest) :-
+    compound(Goal),
+    Goal \= plain(_),
+    !,
+    Goal =.. [_|Parts],
+    foldl(hidden_variables, Parts, Hidden, Rest).
+hidden_variables(_, Hidden, Hidden).
+
+                /*******************************
+                *        TWO READINGS          *
+                *******************************/
+
+%!  readings(+Goal, -Certain, -Possible) is det.
+%
+%   Two callable goals over the variables of Goal: what is known to be true, and
+%   what is not known to be false.
+
+readings(literal(Call, Hidden, Visible), Certain, Possible) :- !,
+    certain_literal(Call, Hidden, Visible, Certain),
+    possible_literal(Call, Hidden, Visible, Possible).
+readings(plain(Call), goals:Call, goals:maybe(goals:Call)) :- !.
+readings(and(A, B), (CA, CB), (PA, PB)) :- !,
+    readings(A, CA, PA),
+    readings(B, CB, PB).
+readings(or(A, B), (CA ; CB), (PA ; PB)) :- !,
+    readings(A, CA, PA),
+    readings(B, CB, PB).
+readings(if(A, B, C), (CA -> CB ; \+ PA, CC), (PA, PB ; \+ CA, PC)) :- !,
+    readings(A, CA, PA),
+    readings(B, CB, PB),
+    readings(C, CC, PC).
+readings(not(A), \+ PA, \+ CA) :- !,
+    readings(A, CA, PA).
+readings(all(A, B), \+ ( PA, \+ CB ), \+ ( CA, \+ PB )) :- !,
+    readings(A, CA, PA),
+    readings(B, CB, PB).
+readings(once(A), once(CA), PA) :- !,
+    readings(A, CA, PA).
+readings(sequence(How, A), Certain, PA) :- !,
+    readings(A, CA, PA),
+    How =.. List,
+    append(List, [CA], Call),
+    Certain0 =.. Call,
+    Certain = solution_sequences:Certain0.
+readings(collect(How, Template, A), Certain, Possible) :-
+    readings(A, CA, PA),
+    Certain = ( goals:settled(Template, CA, PA, Bag), goals:summary(How, Bag) ),
+    Possible = ( goals:settled(Template, CA, PA, Bag) -> goals:summary(How, Bag) ; true ).
+
+certain_literal(Call, Hidden, Visible, Certain) :-
+    qualified(Call, Goal),
+    (   Hidden == []
+    ->  Certain = Goal
+    ;   Hidden = [First-Class|Others],
+        types(Others, OtherTypes),
+        FirstType = vocabulary:instance_of(First, Class),
+        Certain = goals:some(Visible, goals:joined(Visible, FirstType, Goal, OtherTypes))
+    ).
+
+possible_literal(Call, Hidden, Visible, Possible) :-
+    ( Call = _:_ -> Goal = Call ; Goal = vocabulary:possibly(Call) ),
+    (   Hidden == []
+    ->  Possible = Goal
+    ;   possible_types(Hidden, Types),
+        Possible = goals:some(Visible, ( Types, Goal ))
+    ).
+
+qualified(Module:Call, Module:Call) :- !.
+qualified(Call, vocabulary:Call).
+
+types([], true).
+types([Variable-Class|Hidden], ( vocabulary:instance_of(Variable, Class), Types )) :-
+    types(Hidden, Types).
+
+possible_types([], true).
+possible_types([Variable-Class|Hidden], ( vocabulary:possible_instance(Variable, Class), Types )) :-
+    possible_types(Hidden, Types).
+
+%   joined(+Visible, +FirstType, +Goal, +OtherTypes): start from what is bound.
+joined(Visible, FirstType, Goal, OtherTypes) :-
+    (   member(Variable, Visible),
+        nonvar(Variable)
+    ->  call(Goal),
+        call(FirstType),
+        call(OtherTypes)
+    ;   call(FirstType),
+        call(Goal),
+        call(OtherTypes)
+    ).
+
+%!  some(?Visible, :Goal) is nondet.
+%
+%   Goal's answers without repetition of Visible: the class names in it stand
+%   for some thing, whichever.
+
+some(Visible, Goal) :-
+    (   ground(Visible)
+    ->  once(Goal)
+    ;   distinct(Visible, Goal)
+    ).
+
+%!  maybe(:Goal) is nondet.
+%
+%   Goal, or true where Goal lacks a value that nobody knows.
+
+maybe(Goal) :-
+    catch(Goal, error(instantiation_error, _), true).
+
+%!  settled(+Template, :Certain, :Possible, -Bag) is semidet.
+%
+%   Bag is findall/3 of Certain, if nothing more than that is possible.
+
+settled(Template, Certain, Possible, Bag) :-
+    findall(Template, Certain, Bag),
+    findall(Template, Possible, All),
+    sort(Bag, Set),
+    sort(All, AllSet),
+    AllSet =@= Set.
+
+summary(findall(_, Bag), Bag).
+summary(aggregate_all(Spec, Result), Bag) :-
+    summarised(Spec, Bag, Result).
+
+summarised(Spec, Bag, Result) :-
+    (   Spec == count
+    ->  length(Bag, Result)
+    ;   copy_term(Spec, Copy),
+        aggregate_all(Copy, member(Copy, Bag), Result)
+    ).

@@ -1,0 +1,505 @@
+:- module(spatial,
+          [ judged/5,                   % +Relation, ?A, ?B, -Truth, -Tests
+            holds/3,                    % +Relation, ?A, ?B
+            possibly_holds/3,           % +Relation, ?A, ?B
+            inverse/2,                  % ?Relation, ?Inverse
+            symmetric/1,                % ?Relation
+            room_of/3,                  % +Thing, -Room, -Tests
+            stands_on/2,                % +Thing, -Support
+            near_distance/3,            % +A, +B, -Metres
+            contact_gap/1,              % -Metres
+            derived_edge/6,             % ?Relation, ?A, ?B, -Value, -Threshold, -Confidence
+            derived_edges_of/2,         % +Ids, -Edges
+            affected_by/2,              % +Ids, -Affected
+            affected_edges/3,           % +Ids, -Affected, -Edges
+            threshold/4,                % ?Name, -Value, ?Unit, ?Reason
+            override/1                  % +Threshold
+          ]).
+:- use_module(library(lists)).
+:- use_module(library(error)).
+:- use_module(facts).
+
+/** <module> Spatial relations, derived from measurements
+
+Python measures, these rules decide. Each relation has one definition, in
+judged/5: the tests that its measurements must pass, in three truth values. What
+holds, what may hold, the stored edges, and every explanation come from there.
+
+The canonical relations are `on`, `in`, `above`, `near` and `touching`; the
+others are their inverses.
+
+Example: a cup 2 mm above a table top, with 90 % of its foot over the table:
+
+    ?- judged(on, cup_1, table_1, Truth, Tests).
+    Truth = true,
+    Tests = [ test(contact, 0.9, >=, contact_share, 0.2),
+              test(lowest_above, 0.73, >, nothing, 0) ].
+*/
+
+                /*******************************
+                *          THRESHOLDS          *
+                *******************************/
+
+:- dynamic
+    contact_share/1, contact_margin/1, overlap_share/1, footing_inside_share/1, voxels_inside_share/1,
+    room_share/1, own_room_share/1, near_least/1, near_most/1.
+
+contact_share(0.2).
+contact_margin(0.03).
+overlap_share(0.2).
+footing_inside_share(0.8).
+voxels_inside_share(0.3).
+room_share(0.5).
+own_room_share(0.8).
+near_least(0.5).
+near_most(1.5).
+
+%!  threshold(?Name, -Value, ?Unit, ?Reason) is nondet.
+%
+%   The thresholds that a rule file may replace, with override/1.
+
+threshold(Name, Value, Unit, Reason) :-
+    threshold_reason(Name, Unit, Reason),
+    Threshold =.. [Name, Value],
+    call(Threshold).
+
+threshold_reason(contact_share, share,
+    "a fifth of a footing carries a thing: a chair with one of its four legs on a rug still stands on it").
+threshold_reason(contact_margin, metre,
+    "depth noise of a few millimetres and thin cloths; one voxel is added, since surfaces are known no better").
+threshold_reason(overlap_share, share,
+    "less than a fifth of the smaller footprint is a corner reaching over, not being above").
+threshold_reason(footing_inside_share, share,
+    "a thing that is in a container has its foot in it, up to a voxel at the rim").
+threshold_reason(voxels_inside_share, share,
+    "a bottle in a basket sticks out of it by more than half and is still in it").
+threshold_reason(room_share, share,
+    "a thing belongs to the room that holds at least half of its footprint").
+threshold_reason(own_room_share, share,
+    "a thing that straddles a border goes with what it stands on").
+threshold_reason(near_least, metre,
+    "small things: within arm's reach of each other").
+threshold_reason(near_most, metre,
+    "large things: a step and a half away; farther is across the room").
+
+%!  override(+Threshold) is det.
+%
+%   Replace a threshold, from a rule file: `:- override(contact_share(0.3)).`
+%
+%   @error existence_error(threshold, Name), type_error(number, Value)
+
+override(Threshold) :-
+    must_be(compound, Threshold),
+    Threshold =.. [Name, Value],
+    (   threshold_reason(Name, _, _)
+    ->  true
+    ;   existence_error(threshold, Name)
+    ),
+    must_be(number, Value),
+    must_be(nonneg_number, Value),
+    Old =.. [Name, _],
+    retractall(Old),
+    assertz(Threshold).
+
+:- multifile error:has_type/2.
+error:has_type(nonneg_number, Value) :- number(Value), Value >= 0.
+
+%!  contact_gap(-Metres) is det.
+%
+%   Things closer than this touch: contact_margin/1 and one voxel.
+
+contact_gap(Gap) :-
+    contact_margin(Margin),
+    (   parameter(voxel_size_m, Voxel)
+    ->  Gap is Margin+Voxel
+    ;   Gap = Margin
+    ).
+
+%!  near_distance(+A, +B, -Metres) is semidet.
+%
+%   Half the sum of the longer sides of the two footprints, clamped to
+%   near_least/1 .. near_most/1: near a cup is nearer than near a sofa.
+
+near_distance(A, B, Distance) :-
+    longer_side(A, SideA),
+    longer_side(B, SideB),
+    near_least(Least),
+    near_most(Most),
+    Distance is min(Most, max(Least, (SideA+SideB)/2)).
+
+longer_side(A, Side) :-
+    measured(longer_side, A, Side0),
+    number(Side0),
+    !,
+    Side = Side0.
+longer_side(A, Side) :-
+    size(A, X, Y, _),
+    !,
+    Side is max(X, Y).
+longer_side(_, 0.0).                    % an agent or a place: a point
+
+                /*******************************
+                *          RELATIONS           *
+                *******************************/
+
+%!  inverse(?Relation, ?Inverse) is nondet.
+%
+%   Relation(A,B) and Inverse(B,A) say the same; Relation is the canonical one.
+
+inverse(on, supports).
+inverse(in, contains).
+inverse(above, under).
+
+%!  symmetric(?Relation) is nondet.
+
+symmetric(near).
+symmetric(touching).
+
+%!  judged(+Relation, ?A, ?B, -Truth, -Tests) is nondet.
+%
+%   Truth (`true`, `false` or `unknown`) of the canonical Relation for every
+%   measured pair, and the Tests that decided, the leading one first. A test is
+%   test(Measurement, Value, Comparison, ThresholdName, Threshold).
+
+judged(on, A, B, Truth, [test(contact, Share, >=, contact_share, Enough)|More]) :-
+    measured(contact, A, B, Share),
+    A \== B,
+    contact_share(Enough),
+    at_least(Share, Enough, Enough_),
+    (   Enough_ == false
+    ->  Truth = false,
+        More = []
+    ;   structure_below(A, B, Order)
+    ->  both(Enough_, Order, Truth),
+        More = []
+    ;   More = [test(lowest_above, Rise, >, nothing, 0)],
+        lowest_above(A, B, Rise),
+        higher(Rise, A, B, Order),
+        both(Enough_, Order, Truth)
+    ).
+judged(in, A, B, Truth, [ test(footing_inside, Footing, >=, footing_inside_share, EnoughFooting),
+                          test(voxels_inside, Voxels, >=, voxels_inside_share, EnoughVoxels) ]) :-
+    measured(footing_inside, A, B, Footing),
+    A \== B,
+    ( measured(voxels_inside, A, B, Voxels) -> true ; Voxels = unknown ),
+    footing_inside_share(EnoughFooting),
+    voxels_inside_share(EnoughVoxels),
+    at_least(Footing, EnoughFooting, Truth1),
+    at_least(Voxels, EnoughVoxels, Truth2),
+    both(Truth1, Truth2, Truth).
+judged(in, A, Room, Truth, Tests) :-
+    judged_room(A, Room, Truth, Tests).
+judged(above, A, B, Truth, [ test(rise, Rise, >, contact_gap, Gap),
+                             test(footprint_overlap, Overlap, >=, overlap_share, Enough) | More ]) :-
+    mutual(footprint_overlap, A, B, Overlap),
+    overlap_share(Enough),
+    at_least(Overlap, Enough, Truth1),
+    Truth1 \== false,
+    measured(rise, A, B, Rise),
+    contact_gap(Gap),
+    more_than(Rise, Gap, Truth2),
+    both(Truth1, Truth2, Truth3),
+    (   Truth3 == false
+    ->  Truth = false,
+        More = []
+    ;   More = [test(structure_between, Between, =<, nothing, 0), test(same_storey, Storey, >=, nothing, 1)],
+        either_way(structure_between, A, B, 0, Between),
+        at_most(Between, 0, Truth4),
+        either_way(same_storey, A, B, 1, Storey),
+        at_least(Storey, 1, Truth5),
+        both(Truth3, Truth4, Truth6),
+        both(Truth6, Truth5, Truth7),
+        (   Truth7 \== false,
+            judged(on, A, B, Resting, _)
+        ->  negated(Resting, NotOn),
+            both(Truth7, NotOn, Truth)
+        ;   Truth = Truth7
+        )
+    ).
+judged(near, A, B, Truth, [test(path_gap_upper, Upper, =<, near_distance, Distance)|More]) :-
+    mutual(path_gap_upper, A, B, Upper),
+    near_distance(A, B, Distance),
+    at_most(Upper, Distance, Reached),
+    (   Reached == true
+    ->  Truth = true,
+        More = []
+    ;   ( mutual(path_gap_lower, A, B, Lower) -> true ; Lower = Upper ),
+        More = [test(path_gap_lower, Lower, =<, near_distance, Distance)],
+        at_most(Lower, Distance, Reachable),
+        ( Reachable == false -> Truth = false ; Truth = unknown )
+    ).
+judged(touching, A, B, Truth, [test(gap, Gap, =<, contact_gap, Enough)]) :-
+    mutual(gap, A, B, Gap),
+    contact_gap(Enough),
+    at_most(Gap, Enough, Truth).
+
+%   Structure lies below everything, and rests on nothing.
+structure_below(A, _, false) :-
+    node(A, structure), !.
+structure_below(_, B, true) :-
+    node(B, structure).
+
+lowest_above(A, B, Rise) :-
+    measured(lowest, A, LowestA),
+    measured(lowest, B, LowestB),
+    !,
+    ( number(LowestA), number(LowestB) -> Rise is LowestA-LowestB ; Rise = unknown ).
+lowest_above(A, B, Rise) :-
+    measured(lowest_above, A, B, Rise), !.
+lowest_above(A, B, Rise) :-
+    position(A, _, _, ZA), size(A, _, _, HA),
+    position(B, _, _, ZB), size(B, _, _, HB),
+    !,
+    Rise is (ZA-HA/2)-(ZB-HB/2).
+lowest_above(_, _, unknown).
+
+higher(unknown, _, _, unknown) :- !.
+higher(Rise, _, _, true) :- Rise > 0, !.
+higher(Rise, A, B, true) :- Rise =:= 0, A @> B, !.
+higher(_, _, _, false).
+
+either_way(Name, A, B, Default, Value) :-
+    (   measured(Name, A, B, Value0)
+    ->  Value = Value0
+    ;   measured(Name, B, A, Value0)
+    ->  Value = Value0
+    ;   Value = Default
+    ).
+
+                /*******************************
+                *            ROOMS             *
+                *******************************/
+
+%!  room_of(+Thing, -Room, -Tests) is semidet.
+%
+%   The room with the largest share of Thing's footprint, at least room_share/1.
+%   What stands on an object and has less than own_room_share/1 of its own in
+%   one room goes with that object.
+
+room_of(Thing, Room, Tests) :-
+    (   own_room(Thing, Own, Share)
+    ->  true
+    ;   Share = 0
+    ),
+    own_room_share(Clear),
+    (   Share < Clear,
+        stands_on(Thing, Support),
+        room_of(Support, SupportRoom, [Test|_])
+    ->  Room = SupportRoom,
+        Tests = [Test, test(stands_on, Support, =, nothing, Support)]
+    ;   room_share(Enough),
+        Share >= Enough,
+        Room = Own,
+        Tests = [test(footprint_share, Share, >=, room_share, Enough)]
+    ).
+
+own_room(Thing, Room, Share) :-
+    findall(Negative-R,
+            ( measured(footprint_share, Thing, R, S), number(S), Negative is -S ),
+            Shares),
+    keysort_by_room(Shares, [Least-Room|_]),
+    Share is -Least.
+
+keysort_by_room([One], [One]) :- !.
+keysort_by_room(Shares, Sorted) :-
+    msort(Shares, Sorted).
+
+%!  stands_on(+Thing, -Support) is semidet.
+%
+%   The object that carries most of Thing's footing.
+
+stands_on(Thing, Support) :-
+    findall(Negative-B,
+            ( judged(on, Thing, B, true, [test(_, Share, _, _, _)|_]),
+              \+ node(B, structure),
+              Negative is -Share ),
+            Supports),
+    msort(Supports, [_-Support|_]).
+
+judged_room(A, Room, Truth, Tests) :-
+    nonvar(A),
+    !,
+    (   room_of(A, Its, ItsTests),
+        Room = Its,
+        Truth0 = true,
+        Tests0 = ItsTests
+    ->  Truth = Truth0,
+        Tests = Tests0
+    ;   room_share(Enough),
+        measured(footprint_share, A, Room, Share),
+        ( Share == unknown -> Truth = unknown ; Truth = false ),
+        Tests = [test(footprint_share, Share, >=, room_share, Enough)]
+    ).
+judged_room(A, Room, Truth, Tests) :-
+    nonvar(Room),
+    !,
+    findall(Thing, candidate(Room, Thing), Things0),
+    sort(Things0, Things),
+    member(A, Things),
+    judged_room(A, Room, Truth, Tests).
+judged_room(A, Room, Truth, Tests) :-
+    setof(Thing, R^S^measured(footprint_share, Thing, R, S), Things),
+    member(A, Things),
+    judged_room(A, Room, Truth, Tests).
+
+%   A thing that may be in Room: part of it is, or what it stands on may be.
+candidate(Room, Thing) :-
+    measured(footprint_share, Below, Room, _),
+    rests_upon(Thing, Below).
+
+rests_upon(Thing, Thing).
+rests_upon(Thing, Below) :-
+    measured(contact, Next, Below, _),
+    \+ node(Below, structure),
+    judged(on, Next, Below, true, _),
+    rests_upon(Thing, Next).
+
+                /*******************************
+                *         TRUTH VALUES         *
+                *******************************/
+
+%!  holds(+Relation, ?A, ?B) is nondet.
+%
+%   True when Relation(A,B) is certain, derived or stored.
+
+holds(Relation, A, B) :-
+    reading(Relation, A, B, Canonical, X, Y),
+    judged(Canonical, X, Y, true, _).
+holds(Relation, A, B) :-
+    edge(Relation, A, B, _, _, _).
+
+%!  possibly_holds(+Relation, ?A, ?B) is nondet.
+%
+%   True when Relation(A,B) is not known to be false for a measured pair.
+
+possibly_holds(Relation, A, B) :-
+    reading(Relation, A, B, Canonical, X, Y),
+    judged(Canonical, X, Y, Truth, _),
+    Truth \== false.
+possibly_holds(Relation, A, B) :-
+    edge(Relation, A, B, _, _, _).
+
+%   reading(+Relation, ?A, ?B, -Canonical, ?X, ?Y): the canonical relation that says the same.
+
+reading(Relation, A, B, Canonical, B, A) :-
+    inverse(Canonical, Relation),
+    !.
+reading(Relation, A, B, Relation, A, B).
+
+at_least(unknown, _, unknown) :- !.
+at_least(Value, Threshold, true) :- Value >= Threshold, !.
+at_least(_, _, false).
+
+at_most(unknown, _, unknown) :- !.
+at_most(Value, Threshold, true) :- Value =< Threshold, !.
+at_most(_, _, false).
+
+more_than(unknown, _, unknown) :- !.
+more_than(Value, Threshold, true) :- Value > Threshold, !.
+more_than(_, _, false).
+
+both(false, _, false) :- !.
+both(_, false, false) :- !.
+both(true, true, true) :- !.
+both(_, _, unknown).
+
+negated(true, false).
+negated(false, true).
+negated(unknown, unknown).
+
+                /*******************************
+                *            EDGES             *
+                *******************************/
+
+%!  derived_edge(?Relation, ?A, ?B, -Value, -Threshold, -Confidence) is nondet.
+%
+%   Every edge that these rules derive, in both directions: the value that was
+%   compared, the threshold, and a confidence of 0.5 at the threshold that grows
+%   to 1 with the margin.
+
+derived_edge(Relation, A, B, Value, Threshold, Confidence) :-
+    nonvar(Relation),
+    !,
+    reading(Relation, A, B, Canonical, X, Y),
+    canonical_edge(Canonical, X, Y, Value, Threshold, Confidence).
+derived_edge(Relation, A, B, Value, Threshold, Confidence) :-
+    (   symmetric(Relation)
+    ;   inverse(Relation, _)
+    ;   inverse(_, Relation)
+    ),
+    derived_edge(Relation, A, B, Value, Threshold, Confidence).
+
+canonical_edge(Relation, A, B, Value, Threshold, Confidence) :-
+    judged(Relation, A, B, true, Tests),
+    Tests = [test(_, Value, _, _, Threshold)|_],
+    certainty(Tests, 1.0, Margin),
+    footing_certainty(Relation, A, Margin, Confidence).
+
+%   The weakest margin decides. A margin is full at its scale: a share's way to 1, a distance's third.
+certainty([], Confidence, Confidence).
+certainty([test(_, Value, Comparison, _, Threshold)|Tests], Least, Confidence) :-
+    (   margin(Comparison, Value, Threshold, Margin)
+    ->  Next is min(Least, 0.5+0.5*min(1.0, Margin))
+    ;   Next = Least
+    ),
+    certainty(Tests, Next, Confidence).
+
+margin(>=, Value, Threshold, Margin) :-
+    number(Value), Threshold < 1, Margin is (Value-Threshold)/(1-Threshold).
+margin(=<, Value, Threshold, Margin) :-
+    number(Value), Threshold > 0, Margin is 3*(Threshold-Value)/Threshold.
+margin(>, Value, Threshold, Margin) :-
+    number(Value), Threshold > 0, Margin is (Value-Threshold)/Threshold.
+
+%   A footing that was completed, not seen, halves what is beyond doubt.
+footing_certainty(on, A, Margin, Confidence) :-
+    measured(footing_seen, A, Seen),
+    number(Seen),
+    !,
+    Confidence is 0.5+(Margin-0.5)*(0.5+0.5*Seen).
+footing_certainty(_, _, Confidence, Confidence).
+
+%!  derived_edges_of(+Ids:list, -Edges:list) is det.
+%
+%   Edges is every derived edge, as edge(Relation, A, B, Value, Threshold,
+%   Confidence), that begins or ends at one of Ids, without duplicates.
+
+derived_edges_of(Ids, Edges) :-
+    findall(Edge,
+            ( member(Id, Ids),
+              edge_at(Id, Relation, A, B, Value, Threshold, Confidence),
+              both_ways(Relation, A, B, Value, Threshold, Confidence, Edge) ),
+            Edges0),
+    sort(Edges0, Edges).
+
+edge_at(Id, Relation, Id, B, Value, Threshold, Confidence) :-
+    canonical(Relation),
+    canonical_edge(Relation, Id, B, Value, Threshold, Confidence).
+edge_at(Id, Relation, A, Id, Value, Threshold, Confidence) :-
+    inverse(Relation, _),
+    canonical_edge(Relation, A, Id, Value, Threshold, Confidence).
+
+canonical(Relation) :- inverse(Relation, _).
+canonical(Relation) :- symmetric(Relation).
+
+both_ways(Relation, A, B, Value, Threshold, Confidence, edge(Relation, A, B, Value, Threshold, Confidence)).
+both_ways(Relation, A, B, Value, Threshold, Confidence, edge(Inverse, B, A, Value, Threshold, Confidence)) :-
+    ( inverse(Relation, Inverse) -> true ; Inverse = Relation ).
+
+%!  affected_by(+Ids:list, -Affected:list) is det.
+%
+%   Affected is Ids and everything that stands on one of them, directly or not:
+%   the things whose derived edges may change when Ids were measured anew.
+
+affected_by(Ids, Affected) :-
+    findall(Thing, ( member(Id, Ids), rests_upon(Thing, Id) ), Things),
+    sort(Things, Affected).
+
+%!  affected_edges(+Ids:list, -Affected:list, -Edges:list) is det.
+%
+%   affected_by/2 and derived_edges_of/2 of that: what the graph asks after each
+%   observation.
+
+affected_edges(Ids, Affected, Edges) :-
+    affected_by(Ids, Affected),
+    derived_edges_of(Affected, Edges).

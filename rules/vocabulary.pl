@@ -1,0 +1,318 @@
+:- module(vocabulary,
+          [ signature/2,                % ?Head, -Documentation
+            possibly/1,                 % :Goal
+            possible_instance/2,        % ?Id, +Class
+            known_class/1,              % ?Class
+            node/2, label/2, named/2, position/4, size/4, yaw/2, confidence/2, seen/3, attribute/3,
+            measured/3, measured/4, unobserved/1,
+            instance_of/2, subclass/2, container/1, room_type/2, fact/1,
+            object/1, room/1, structure/1, agent/1, place/1,
+            on/2, supports/2, in/2, contains/2, above/2, under/2, near/2, touching/2, next_to/2,
+            in_front_of/2, behind/2, left_of/2, right_of/2,
+            in_front_of/3, behind/3, left_of/3, right_of/3,
+            connects/2, adjacent/2, leads_to/2, part_of/2, attached_to/2, hanging_from/2,
+            distance/3, gap/3, larger/2
+          ]).
+:- use_module(library(lists)).
+:- use_module(library(apply)).
+:- use_module(facts).
+:- use_module(taxonomy).
+:- use_module(spatial).
+:- use_module(rooms).
+:- use_module(viewpoint).
+
+/** <module> The words in which questions are asked
+
+What stands in signature/2, and nothing else but plain logic and arithmetic, can
+be asked. An argument marked `thing` takes an id, or a class or room type or name
+that stands for any instance of it; `class`, `key`, `layer`, `relation`,
+`measurement` and `value` take a name; `number` a number; `text` a string; `any`
+whatever there is. Any argument may be a variable.
+*/
+
+:- discontiguous signature/2.
+
+%!  signature(?Head, -Documentation:string) is nondet.
+%
+%   Head is askable; its arguments are the kinds of its arguments.
+
+                /*******************************
+                *        WHAT THERE IS         *
+                *******************************/
+
+signature(node(thing, layer), "the thing is in this layer of the graph: building, storey, room, place, object, structure, agent").
+signature(label(thing, class), "the thing's own label, without the taxonomy").
+signature(named(thing, text), "the name that the thing goes by").
+signature(position(thing, number, number, number), "centre x, y, z in the map frame, metres").
+signature(size(thing, number, number, number), "extent of the oriented box, metres").
+signature(yaw(thing, number), "rotation about z, radians").
+signature(confidence(thing, number), "how sure it is that the thing is what its label says, 0 to 1").
+signature(seen(thing, number, number), "first and last sight, nanoseconds").
+signature(attribute(thing, key, value), "an attribute of the thing, such as its colour").
+signature(measured(measurement, thing, any), "a measurement of one thing, SI units").
+signature(measured(measurement, thing, thing, any), "a measurement of two things, SI units").
+signature(unobserved(any), "part of this region has not been seen").
+
+signature(instance_of(thing, class), "the thing is of this class, or of a class below it").
+
+%!  instance_of(?Id, ?Class) is nondet.
+%
+%   Id carries Class or a class below it as its label; or Class is its layer, or
+%   the type of the room Id, or a name that Id goes by.
+
+instance_of(Id, Class) :-
+    nonvar(Id),
+    !,
+    (   labelled(Id, Class)
+    ;   node(Id, Class), layer_class(Class)
+    ;   room_type(Id, Class)
+    ;   goes_by(Id, Class)
+    ).
+instance_of(Id, Class) :-
+    nonvar(Class),
+    !,
+    (   layer_class(Class)
+    ->  node(Id, Class)
+    ;   labelled(Id, Class)
+    ;   type_of_room(Class), room_type(Id, Class)
+    ;   goes_by(Id, Class)
+    ).
+instance_of(Id, Class) :-
+    labelled(Id, Class).
+instance_of(Id, Type) :-
+    room_type(Id, Type).
+
+layer_class(object).
+layer_class(room).
+layer_class(place).
+layer_class(agent).
+layer_class(structure).
+layer_class(building).
+layer_class(storey).
+
+goes_by(Id, Atom) :-
+    nonvar(Atom),
+    named(Id, Name),
+    name_atom(Name, Atom).
+
+%   name_atom(+Name, -Atom): the atom that stands for a name, 'guest room' and guest_room alike.
+name_atom(Name, Atom) :-
+    atom_string(Spelled, Name),
+    (   Atom = Spelled
+    ;   string_lower(Name, Lower),
+        split_string(Lower, " -", " -", Words),
+        atomic_list_concat(Words, '_', Atom)
+    ),
+    !.
+
+signature(subclass(class, class), "the first class is the second or below it").
+signature(container(class), "things of this class hold others inside").
+signature(room_type(thing, class), "the room's type, told by what is in it").
+signature(fact(any), "what an operator told").
+
+%!  fact(?Term) is nondet.
+
+fact(Term) :-
+    told(Term).
+
+signature(object(thing), "a movable or free-standing thing").
+signature(room(thing), "a room").
+signature(structure(thing), "a wall, floor, ceiling, door or other part of the building").
+signature(agent(thing), "a robot or a person").
+signature(place(thing), "a place in free space").
+
+object(Id) :- node(Id, object).
+room(Id) :- node(Id, room).
+structure(Id) :- node(Id, structure).
+agent(Id) :- node(Id, agent).
+place(Id) :- node(Id, place).
+
+                /*******************************
+                *          RELATIONS           *
+                *******************************/
+
+signature(on(thing, thing), "the first rests on the second").
+signature(supports(thing, thing), "the second rests on the first").
+signature(in(thing, thing), "the first is inside the second, a container or a room").
+signature(contains(thing, thing), "the second is inside the first").
+signature(above(thing, thing), "the first is over the second without resting on it").
+signature(under(thing, thing), "the first is below the second without carrying it").
+signature(near(thing, thing), "a short way apart, around walls").
+signature(touching(thing, thing), "their surfaces meet").
+signature(next_to(thing, thing), "near, on the same support, with nothing between").
+
+on(A, B) :- holds(on, A, B).
+supports(A, B) :- holds(supports, A, B).
+in(A, B) :- holds(in, A, B).
+contains(A, B) :- holds(contains, A, B).
+above(A, B) :- holds(above, A, B).
+under(A, B) :- holds(under, A, B).
+near(A, B) :- holds(near, A, B).
+touching(A, B) :- holds(touching, A, B).
+
+%!  next_to(?A, ?B) is nondet.
+
+next_to(A, B) :-
+    near(A, B),
+    once(( on(A, Support), on(B, Support) )),
+    \+ between_them(A, B, _).
+
+signature(in_front_of(thing, thing), "before the second, for the viewer; without one, at its own front").
+signature(behind(thing, thing), "behind the second, for the viewer").
+signature(left_of(thing, thing), "left of the second, for the viewer").
+signature(right_of(thing, thing), "right of the second, for the viewer").
+signature(in_front_of(thing, thing, thing), "before the second, for the third").
+signature(behind(thing, thing, thing), "behind the second, for the third").
+signature(left_of(thing, thing, thing), "left of the second, for the third").
+signature(right_of(thing, thing, thing), "right of the second, for the third").
+
+in_front_of(A, B) :- viewer(V), seen_from(in_front_of, A, B, V, _).
+behind(A, B) :- viewer(V), seen_from(behind, A, B, V, _).
+left_of(A, B) :- viewer(V), seen_from(left_of, A, B, V, _).
+right_of(A, B) :- viewer(V), seen_from(right_of, A, B, V, _).
+
+in_front_of(A, B, V) :- somebody(V), seen_from(in_front_of, A, B, V, _).
+behind(A, B, V) :- somebody(V), seen_from(behind, A, B, V, _).
+left_of(A, B, V) :- somebody(V), seen_from(left_of, A, B, V, _).
+right_of(A, B, V) :- somebody(V), seen_from(right_of, A, B, V, _).
+
+somebody(V) :- nonvar(V), !.
+somebody(V) :- node(V, agent).
+
+signature(connects(thing, thing), "the door or opening leads into the room").
+signature(adjacent(thing, thing), "the rooms share a door or opening").
+signature(leads_to(thing, thing), "one can go from the first room to the second").
+signature(part_of(thing, thing), "the first is a part of the second").
+signature(attached_to(thing, thing), "the first is fixed to the side of the second").
+signature(hanging_from(thing, thing), "the first hangs from the second").
+
+connects(A, B) :- edge(connects, A, B, _, _, _).
+part_of(A, B) :- edge(part_of, A, B, _, _, _).
+attached_to(A, B) :- edge(attached_to, A, B, _, _, _).
+hanging_from(A, B) :- edge(hanging_from, A, B, _, _, _).
+
+%!  adjacent(?A, ?B) is nondet.
+%
+%   The rooms A and B share a door or opening.
+
+adjacent(A, B) :-
+    edge(adjacent, A, B, _, _, _).
+adjacent(A, B) :-
+    edge(connects, Door, A, _, _, _),
+    edge(connects, Door, B, _, _, _),
+    A \== B,
+    \+ edge(adjacent, A, B, _, _, _).
+
+%!  leads_to(?A, ?B) is nondet.
+%
+%   One can go from room A to another room B, through rooms and doors.
+
+leads_to(A, B) :-
+    room(A),
+    reachable_rooms([A], [A], Rooms),
+    member(B, Rooms),
+    B \== A.
+
+reachable_rooms([], Rooms, Rooms).
+reachable_rooms([Room|Open], Seen, Rooms) :-
+    findall(Next, ( adjacent(Room, Next), \+ memberchk(Next, Seen) ), Next0),
+    sort(Next0, New),
+    append(Seen, New, Seen1),
+    append(Open, New, Open1),
+    reachable_rooms(Open1, Seen1, Rooms).
+
+signature(distance(thing, thing, number), "metres between the centres").
+signature(gap(thing, thing, number), "metres between the surfaces").
+signature(larger(thing, thing), "the first box has the larger volume").
+
+gap(A, B, Gap) :-
+    mutual(gap, A, B, Gap),
+    number(Gap).
+
+%!  larger(?A, ?B) is nondet.
+
+larger(A, B) :-
+    size(A, XA, YA, ZA),
+    size(B, XB, YB, ZB),
+    XA*YA*ZA > XB*YB*ZB.
+
+                /*******************************
+                *       WHAT MAY BE TRUE       *
+                *******************************/
+
+%!  known_class(?Class) is nondet.
+%
+%   Class can be asked about: a class of things, a layer or a type of room.
+
+known_class(Class) :-
+    (   class(Class)
+    ;   layer_class(Class)
+    ;   type_of_room(Class)
+    ).
+
+%!  possible_instance(?Id, +Class) is nondet.
+%
+%   Id is a Class, or stands for one that was not seen yet: '$some'(Class), when
+%   no instance is known and part of the world is unobserved.
+
+possible_instance(Id, Class) :-
+    instance_of(Id, Class).
+possible_instance(Id, Class) :-
+    nonvar(Class),
+    unobserved(world),
+    \+ instance_of(_, Class),
+    Id = '$some'(Class).
+
+%!  possibly(:Goal) is nondet.
+%
+%   Goal, one of signature/2, is not known to be false: it holds, or a
+%   measurement that would decide it is unknown, or it is about something that
+%   was not seen yet.
+
+possibly(Goal) :-
+    Goal =.. [_|Arguments],
+    memberchk('$some'(_), Arguments),
+    !.
+possibly(instance_of(Id, Class)) :-
+    !,
+    possible_instance(Id, Class).
+possibly(room_type(Id, Class)) :-
+    !,
+    (   room_type(Id, Class)
+    ;   unobserved(world),
+        node(Id, room),
+        \+ room_type(Id, _)
+    ).
+possibly(next_to(A, B)) :-
+    !,
+    possibly_holds(near, A, B),
+    (   once(( possibly_holds(on, A, Support), possibly_holds(on, B, Support) ))
+    ->  \+ between_them(A, B, _)
+    ;   unobserved(world)
+    ).
+possibly(gap(A, B, Gap)) :-
+    !,
+    mutual(gap, A, B, Value),
+    ( Value == unknown -> true ; Gap = Value ).
+possibly(Goal) :-
+    Goal =.. [Relation, A, B],
+    graded(Relation),
+    !,
+    possibly_holds(Relation, A, B).
+possibly(Goal) :-
+    own_frame(Goal, B),
+    viewer(none),
+    !,
+    (   call(Goal)
+    ;   ( var(B) -> true ; \+ attribute(B, front, _) )
+    ).
+possibly(Goal) :-
+    call(Goal).
+
+graded(on).     graded(supports).       graded(in).     graded(contains).
+graded(above).  graded(under).          graded(near).   graded(touching).
+
+own_frame(in_front_of(_, B), B).
+own_frame(behind(_, B), B).
+own_frame(left_of(_, B), B).
+own_frame(right_of(_, B), B).
