@@ -163,6 +163,13 @@ class BlockStore:
             self._n_blocks = hashing.insert_all(self.table, self._stored_ijk, self._n_blocks, blocks, slots)
         return slots
 
+    def add_field(self, name: str, dtype: DTypeLike) -> None:
+        """Add a field, zero everywhere; raises `InvalidParameter` when it is there already."""
+        if name in self.fields:
+            raise InvalidParameter(f"name: expected a new field, got {name!r}, which exists")
+        self._dtypes[name], self._fill[name] = np.dtype(dtype), 0
+        self.fields[name] = self._filled(name, self._capacity)
+
     def _filled(self, name: str, n: int) -> Array:
         if self._fill[name] == 0:
             return np.zeros((n, BLOCK_VOXELS), self._dtypes[name])

@@ -1,0 +1,268 @@
+"""Signed distance kernels: fusing images and beams into the map.
+
+Distances are positive before a surface and negative behind it [m]; a voxel with weight 0 is unknown. Fusing is the
+weighted running mean of Curless & Levoy, A Volumetric Method for Building Complex Models from Range Images, 1996.
+Cameras and reach images are those of `mapping.kernels.visibility`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from mapping.kernels.hashing import BLOCK_LIMIT, find_or_insert, lookup
+from mapping.kernels.projection import project_block
+
+Array: TypeAlias = NDArray[Any]
+Int: TypeAlias = Any
+Float: TypeAlias = Any
+
+COLOR_STEPS = 256.0
+"""Colours are kept in 1/256 of an 8-bit step, so that running means do not stick."""
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def find_band(
+    blocks: Array, slots: Array, voxel_size: Float, truncation: Float, reach: Array, camera: Array, wanted: Array
+) -> None:
+    """Which blocks (n, 3) exist (slot ≥ 0) or have a voxel within `truncation` [m] of the surface: fills wanted."""
+    seen = reach.ravel()
+    tau = np.float32(truncation)
+    for n in prange(blocks.shape[0]):
+        wanted[n] = slots[n] >= 0
+        if wanted[n]:
+            continue
+        pixels = np.empty(512, np.int32)
+        z = np.empty(512, np.float32)
+        stretch = np.empty(512, np.float32)
+        project_block(blocks[n, 0], blocks[n, 1], blocks[n, 2], voxel_size, camera, pixels, z, stretch)
+        for w in range(512):
+            if pixels[w] >= 0:
+                d = seen[pixels[w]]
+                if d > np.float32(0.0) and abs(d - z[w]) * stretch[w] <= tau:
+                    wanted[n] = True
+                    break
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def fuse_image(
+    distance: Array,
+    weight: Array,
+    color: Array,
+    slots: Array,
+    blocks: Array,
+    voxel_size: Float,
+    truncation: Float,
+    drop_off: Float,
+    inverse_square: bool,
+    max_weight: Float,
+    reach: Array,
+    camera: Array,
+    image: Array,
+    changed: Array,
+) -> None:
+    """Fold one depth image into the running mean of each voxel of the blocks in `slots` (n,), in place.
+
+    distance, weight : (capacity, 512) float32 [m], [-]
+    color            : (capacity, 512, 3) uint16 in 1/256 of a step, or empty
+    drop_off         : depth behind the surface [m] from which on the weight falls to 0 at `truncation`
+    image            : (H, W, 3) uint8, or empty
+    changed          : (n,) bool, filled
+    """
+    seen = reach.ravel()
+    zero = np.float32(0.0)
+    one = np.float32(1.0)
+    tau = np.float32(truncation)
+    slope = np.float32(1.0 / max(truncation - drop_off, 1e-9))
+    highest = np.float32(max_weight)
+    colored = image.shape[0] > 0
+    width = reach.shape[1]
+    for n in prange(slots.shape[0]):
+        slot = slots[n]
+        pixels = np.empty(512, np.int32)
+        z = np.empty(512, np.float32)
+        s = np.empty(512, np.float32)
+        gains = np.empty(512, np.float32)
+        project_block(blocks[n, 0], blocks[n, 1], blocks[n, 2], voxel_size, camera, pixels, z, s)
+        for w in range(512):  # s: length per depth → signed distance along the ray, NaN where unseen
+            d = seen[max(pixels[w], 0)]
+            s[w] = (abs(d) - z[w]) * s[w]
+            in_front = d > zero or (d < zero and s[w] >= tau)
+            if pixels[w] < 0 or not in_front:
+                s[w] = np.nan
+        difference = np.uint8(0)
+        for w in range(512):
+            new = min(s[w], tau)
+            gain = one / (max(z[w], np.float32(0.5)) ** 2) if inverse_square else one
+            gain = gain * min(one, (tau + new) * slope)
+            gains[w] = gain
+            old, had = distance[slot, w], weight[slot, w]
+            total = had + gain
+            mean = (old * had + new * gain) / total
+            total = min(total, highest)
+            update = s[w] > -tau
+            mean = mean if update else old
+            total = total if update else had
+            difference |= np.uint8(mean != old) | np.uint8(total != had)
+            distance[slot, w] = mean
+            weight[slot, w] = total
+        changed[n] = difference != 0
+        if colored:
+            for w in range(512):
+                if abs(s[w]) < tau:
+                    row, column = pixels[w] // width, pixels[w] % width
+                    share = gains[w] / weight[slot, w]
+                    if color[slot, w, 0] == 0 and color[slot, w, 1] == 0 and color[slot, w, 2] == 0:
+                        share = one  # weight so far, but no colour
+                    for channel in range(3):
+                        old = np.float32(color[slot, w, channel])
+                        new = np.float32(image[row, column, channel]) * np.float32(COLOR_STEPS)
+                        color[slot, w, channel] = np.uint16(old + (new - old) * share + np.float32(0.5))
+
+
+@njit(cache=True, error_model="numpy")
+def sum_beams(
+    origin: Array,
+    ends: Array,
+    start: Int,
+    max_range: Float,
+    voxel_size: Float,
+    truncation: Float,
+    table: Array,
+    blocks: Array,
+    n_blocks: Int,
+    sums: Array,
+    weights: Array,
+) -> tuple[Int, Int]:
+    """Walk each beam through the band about its end and add up its signed distances, in place.
+
+    origin, ends   : (3,), (m, 3) [m, map]; beams longer than `max_range` are left out
+    table          : hash of the scan's blocks, index → row; blocks (room, 3) int32, of which `n_blocks` are in use
+    sums, weights  : (room, 512) float32, for each voxel Σ distance along the beam [m] and the number of beams
+    Begins at beam `start`; returns (beam to go on with when room ran out or m, number of blocks).
+    """
+    per_voxel = 1.0 / voxel_size
+    for n in range(start, ends.shape[0]):
+        d0, d1, d2 = ends[n, 0] - origin[0], ends[n, 1] - origin[1], ends[n, 2] - origin[2]
+        length = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+        if not 0.0 < length <= max_range:
+            continue
+        d0, d1, d2 = d0 / length, d1 / length, d2 / length
+        t = max(length - truncation, 0.0)
+        p0, p1, p2 = origin[0] + t * d0, origin[1] + t * d1, origin[2] + t * d2
+        i, j = np.int64(np.floor(p0 * per_voxel)), np.int64(np.floor(p1 * per_voxel))
+        k = np.int64(np.floor(p2 * per_voxel))
+        s0, s1, s2 = np.int64(np.sign(d0)), np.int64(np.sign(d1)), np.int64(np.sign(d2))
+        t0 = t + ((i + (0.5 + 0.5 * s0)) * voxel_size - p0) / d0 if s0 != 0 else np.inf
+        t1 = t + ((j + (0.5 + 0.5 * s1)) * voxel_size - p1) / d1 if s1 != 0 else np.inf
+        t2 = t + ((k + (0.5 + 0.5 * s2)) * voxel_size - p2) / d2 if s2 != 0 else np.inf
+        step0 = voxel_size / abs(d0) if s0 != 0 else np.inf
+        step1 = voxel_size / abs(d1) if s1 != 0 else np.inf
+        step2 = voxel_size / abs(d2) if s2 != 0 else np.inf
+        last_i, last_j, last_k = np.int64(BLOCK_LIMIT), np.int64(0), np.int64(0)
+        row: Int = np.int64(0)
+        first_pass = True
+        # Room is checked along the whole band before anything is added, so that a beam can be taken up again.
+        start_i, start_j, start_k, start_t0, start_t1, start_t2 = i, j, k, t0, t1, t2
+        while True:
+            bi, bj, bk = i >> 3, j >> 3, k >> 3
+            if bi != last_i or bj != last_j or bk != last_k:
+                if n_blocks == blocks.shape[0]:
+                    row = lookup(table, bi, bj, bk)
+                    if row < 0:
+                        return n, n_blocks
+                else:
+                    row = find_or_insert(table, bi, bj, bk, n_blocks)
+                if row == n_blocks:
+                    blocks[row, 0] = bi
+                    blocks[row, 1] = bj
+                    blocks[row, 2] = bk
+                    sums[row, :] = 0.0
+                    weights[row, :] = 0.0
+                    n_blocks += 1
+                last_i, last_j, last_k = bi, bj, bk
+            if not first_pass:
+                x, y, z = (i + 0.5) * voxel_size, (j + 0.5) * voxel_size, (k + 0.5) * voxel_size
+                along = (x - origin[0]) * d0 + (y - origin[1]) * d1 + (z - origin[2]) * d2
+                new = min(length - along, truncation)
+                if new > -truncation:
+                    local = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
+                    sums[row, local] += new
+                    weights[row, local] += 1.0
+            if min(t0, t1, t2) > length + truncation:
+                if not first_pass:
+                    break
+                first_pass = False
+                i, j, k, t0, t1, t2 = start_i, start_j, start_k, start_t0, start_t1, start_t2
+                continue
+            if t0 < t1:
+                if t0 < t2:
+                    i += s0
+                    t0 += step0
+                else:
+                    k += s2
+                    t2 += step2
+            elif t1 < t2:
+                j += s1
+                t1 += step1
+            else:
+                k += s2
+                t2 += step2
+    return ends.shape[0], n_blocks
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def fold_sums(
+    distance: Array, weight: Array, slots: Array, sums: Array, weights: Array, max_weight: Float, changed: Array
+) -> None:
+    """Fold Σ distance and Σ weight (n, 512) of one scan into the running means of the blocks in `slots`, in place."""
+    highest = np.float32(max_weight)
+    for n in prange(slots.shape[0]):
+        slot = slots[n]
+        difference = np.uint8(0)
+        for w in range(512):
+            gain = weights[n, w]
+            if gain > np.float32(0.0):
+                old, had = distance[slot, w], weight[slot, w]
+                total = had + gain
+                mean = (old * had + sums[n, w]) / total
+                total = min(total, highest)
+                difference |= np.uint8(mean != old) | np.uint8(total != had)
+                distance[slot, w] = mean
+                weight[slot, w] = total
+        changed[n] = difference != 0
+
+
+@njit(cache=True)
+def interpolate(table: Array, distance: Array, weight: Array, voxel_size: Float, p_map: Array, values: Array) -> None:
+    """Trilinear signed distance at each point (n, 3) [m] between the eight voxel centres about it; fills values (n,),
+    NaN where one of them is unknown."""
+    per_voxel = 1.0 / voxel_size
+    bound = 8.0 * BLOCK_LIMIT - 2.0
+    last_i, last_j, last_k = np.int64(BLOCK_LIMIT), np.int64(0), np.int64(0)
+    slot: Int = np.int64(-1)
+    for n in range(p_map.shape[0]):
+        x, y, z = p_map[n, 0] * per_voxel - 0.5, p_map[n, 1] * per_voxel - 0.5, p_map[n, 2] * per_voxel - 0.5
+        if not (abs(x) < bound and abs(y) < bound and abs(z) < bound):  # also NaN
+            values[n] = np.nan
+            continue
+        i0, j0, k0 = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
+        fx, fy, fz = x - i0, y - j0, z - k0
+        total = 0.0
+        for corner in range(8):
+            di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
+            i, j, k = i0 + di, j0 + dj, k0 + dk
+            bi, bj, bk = i >> 3, j >> 3, k >> 3
+            if bi != last_i or bj != last_j or bk != last_k:
+                slot = lookup(table, bi, bj, bk)
+                last_i, last_j, last_k = bi, bj, bk
+            local = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
+            if slot < 0 or not weight[slot, local] > 0.0:
+                total = np.nan
+                break
+            share = (fx if di else 1.0 - fx) * (fy if dj else 1.0 - fy) * (fz if dk else 1.0 - fz)
+            total += share * distance[slot, local]
+        values[n] = total

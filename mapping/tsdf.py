@@ -1,0 +1,205 @@
+"""Truncated signed distances: the surface between voxels, averaged over every image that saw it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapping.errors import InvalidObservation, InvalidParameter
+from mapping.geometry import SE3, CameraIntrinsics
+from mapping.grid import BLOCK_VOXELS, BlockStore, as_blocks, as_points, new_table
+from mapping.kernels import surface, tsdf, visibility
+from mapping.layer import Changed, MapLayer, require
+from mapping.view import DepthView, as_pose
+
+if TYPE_CHECKING:
+    from mapping.mesh import Mesh
+
+Array: TypeAlias = NDArray[Any]
+
+_NO_COLOR = np.empty((0, 0, 3), np.uint8)
+_NO_COLORS = np.empty((0, 0, 3), np.uint16)
+_CHUNK = 1024  # blocks sampled at once: bounds the memory of `surface`
+
+
+class TsdfMap(MapLayer):
+    """Signed distance to the nearest surface along the viewing ray, truncated (Curless & Levoy 1996; Newcombe et al.,
+    KinectFusion, ISMAR 2011), positive before surfaces and negative behind them.
+
+    voxel_size_m    edge of a voxel [m]
+    truncation_m    distances are kept up to this [m]; default 4 voxels
+    max_range_m     surfaces farther from the camera [m, along the ray] are not believed
+    weighting       "constant", or "inverse_square": 1/z², as the noise of structured light grows
+    max_weight      the running mean's memory: at this weight new measurements begin to displace old ones
+    carve           whether voxels of existing blocks that an image sees in front of its surface become free, so that
+                    what has gone goes from the map; otherwise only the band about the surface is updated
+    with_color      keep colours from the beginning; otherwise from the first image that has any
+
+    Updates are weighted sums: their order does not matter until `max_weight`. Raises `InvalidParameter` on bad values.
+    """
+
+    kind: ClassVar[str] = "tsdf"
+
+    def __init__(
+        self,
+        voxel_size_m: float = 0.05,
+        truncation_m: float | None = None,
+        max_range_m: float = 20.0,
+        *,
+        weighting: Literal["constant", "inverse_square"] = "inverse_square",
+        max_weight: float = 100.0,
+        carve: bool = True,
+        with_color: bool = False,
+    ) -> None:
+        size = require("voxel_size_m", voxel_size_m, 0.0, 100.0, "m")
+        if truncation_m is None:
+            truncation_m = 4.0 * size
+        self.truncation_m = require("truncation_m", truncation_m, 1.5 * size, 8.0 * size, "m (1.5 … 8 voxels)")
+        self.max_range_m = require("max_range_m", max_range_m, 0.0, 10_000.0, "m")
+        if weighting not in ("constant", "inverse_square"):
+            raise InvalidParameter(f'weighting: expected "constant" or "inverse_square", got {weighting!r}')
+        self.weighting = weighting
+        self.max_weight = require("max_weight", max_weight, 0.0, 1e6)
+        self.carve = bool(carve)
+        self.store = BlockStore({"distance": np.float32, "weight": np.float32}, size)
+        if with_color:
+            self._keep_color()
+
+    def parameters(self) -> dict[str, Any]:
+        return {
+            "voxel_size_m": self.voxel_size_m,
+            "truncation_m": self.truncation_m,
+            "max_range_m": self.max_range_m,
+            "weighting": self.weighting,
+            "max_weight": self.max_weight,
+            "carve": self.carve,
+            "with_color": self.has_color,
+        }
+
+    @property
+    def has_color(self) -> bool:
+        return "color" in self.store.fields
+
+    def _keep_color(self) -> None:
+        self.store.add_field("color", np.dtype((np.uint16, 3)))
+
+    # -- updates ------------------------------------------------------------------------------------------
+    def integrate(self, p_sensor: ArrayLike, T_map_sensor: SE3 | ArrayLike) -> Changed:
+        """Fuse a cloud without an image: each beam updates the voxels that it crosses within the truncation of its end.
+
+        `p_sensor` is (N, 3) [m] in the sensor frame. Every beam has weight 1. Returns the blocks changed.
+        """
+        pose = as_pose(T_map_sensor, "T_map_sensor")
+        ends = as_points(p_sensor, "p_sensor")
+        if not np.isfinite(ends).all():
+            raise InvalidObservation("p_sensor: expected finite points, got NaN or infinity")
+        ends = np.ascontiguousarray(pose @ ends)
+        room, n_blocks, beam = 1024, 0, 0
+        blocks = np.empty((room, 3), np.int32)
+        sums, weights = np.empty((room, BLOCK_VOXELS), np.float32), np.empty((room, BLOCK_VOXELS), np.float32)
+        while True:
+            beam, n_blocks = tsdf.sum_beams(
+                pose.translation, ends, beam, self.max_range_m, self.voxel_size_m, self.truncation_m,
+                new_table(blocks, n_blocks, len(blocks)), blocks, n_blocks, sums, weights,
+            )  # fmt: skip
+            if beam == len(ends):
+                break
+            blocks, sums, weights = (np.concatenate([a, np.empty_like(a)]) for a in (blocks, sums, weights))
+        slots = self.store.allocate(blocks[:n_blocks])
+        changed = np.empty(n_blocks, np.bool_)
+        fields = self.store.fields
+        tsdf.fold_sums(fields["distance"], fields["weight"], slots, sums, weights, self.max_weight, changed)
+        return self._note(slots[changed])
+
+    def integrate_image(
+        self,
+        depth: Array,
+        intrinsics: CameraIntrinsics | Mapping[str, float],
+        T_map_camera: SE3 | ArrayLike,
+        color: Array | None = None,
+    ) -> Changed:
+        """Fuse one depth image (H, W) float32 [m] or uint16 [mm], 0 = not measured, and its colours (H, W, 3) uint8.
+
+        Projective: each voxel takes the pixel nearest to its centre. Returns the blocks changed.
+        """
+        return self.integrate_view(DepthView(depth, intrinsics, T_map_camera, self.max_range_m), color)
+
+    def integrate_view(self, view: DepthView, color: Array | None = None) -> Changed:
+        """Fuse a depth image that has been prepared already."""
+        image = _NO_COLOR
+        if color is not None:
+            image = np.ascontiguousarray(color)
+            if image.dtype != np.uint8 or image.shape != (*view.reach.shape, 3):
+                raise InvalidObservation(
+                    f"color: expected uint8 {(*view.reach.shape, 3)} like depth, got {image.dtype} {image.shape}"
+                )
+            if not self.has_color:
+                self._keep_color()
+        size, tau = self.voxel_size_m, self.truncation_m
+        blocks, kinds = view.blocks(self.block_size_m, front_m=tau, back_m=tau, with_free=self.carve)
+        slots = self.store.find(blocks)
+        seen = (slots >= 0) | (kinds == visibility.MIXED)
+        blocks, slots = blocks[seen], slots[seen]
+        wanted = np.empty(len(blocks), np.bool_)
+        tsdf.find_band(blocks, slots, size, tau, view.reach, view.camera, wanted)
+        blocks = blocks[wanted]
+        slots = self.store.allocate(blocks)
+        changed = np.empty(len(blocks), np.bool_)
+        fields = self.store.fields
+        inverse_square = self.weighting == "inverse_square"
+        tsdf.fuse_image(
+            fields["distance"], fields["weight"], fields.get("color", _NO_COLORS), slots, blocks, size, tau, size,
+            inverse_square, self.max_weight, view.reach, view.camera, image, changed,
+        )  # fmt: skip
+        return self._note(slots[changed])
+
+    # -- questions ----------------------------------------------------------------------------------------
+    def query(self, p_map: ArrayLike) -> NDArray[np.float64]:
+        """The signed distance (N,) [m] at each point (N, 3) [m], interpolated between the eight voxels about it;
+        NaN where one of these is unknown."""
+        points = as_points(p_map)
+        values = np.empty(len(points), np.float64)
+        fields = self.store.fields
+        tsdf.interpolate(self.store.table, fields["distance"], fields["weight"], self.voxel_size_m, points, values)
+        return values
+
+    def surface(
+        self, block_ijk: ArrayLike | None = None, *, min_weight: float = 0.0
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
+        """One sample of the surface a voxel that it crosses, in the blocks (K, 3) asked for (default all).
+
+        Returns points (N, 3) float32 [m], unit normals (N, 3) float32 into free space, and for each point the row (N,)
+        of its block in `block_ijk`. Voxels of a weight below `min_weight` count as unknown.
+        """
+        blocks = self.block_ijk if block_ijk is None else as_blocks(block_ijk)
+        fields = self.store.fields
+        parts = []
+        counts = np.empty(len(blocks), np.int64)
+        samples = np.empty((min(len(blocks), _CHUNK), BLOCK_VOXELS, 6), np.float32)
+        for first in range(0, len(blocks), _CHUNK):
+            chunk = slice(first, first + _CHUNK)
+            surface.sample_surface(
+                self.store.table, fields["distance"], fields["weight"], self.voxel_size_m, min_weight, self.max_jump_m,
+                blocks[chunk], samples, counts[chunk],
+            )  # fmt: skip
+            of_chunk = counts[chunk]
+            parts.append(samples[: len(of_chunk)][np.arange(BLOCK_VOXELS) < of_chunk[:, None]])
+        found = np.concatenate(parts) if parts else np.empty((0, 6), np.float32)
+        return found[:, :3].copy(), found[:, 3:].copy(), np.repeat(np.arange(len(blocks)), counts)
+
+    @property
+    def max_jump_m(self) -> float:
+        """Neighbouring voxels whose distances differ by more [m] lie on two surfaces, one before the other.
+
+        A surface seen at a grazing angle changes fast across the ray, hence not less.
+        """
+        return 1.5 * self.truncation_m
+
+    def mesh(self, *, min_weight: float = 0.0) -> Mesh:
+        """The surface as triangles; see `mapping.mesh`."""
+        from mapping.mesh import extract_mesh
+
+        return extract_mesh(self, min_weight=min_weight)
