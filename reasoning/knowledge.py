@@ -44,6 +44,8 @@ class Test:
     unit: str | None
 
     def __str__(self) -> str:
+        if self.comparison == "=":
+            return f"{self.measurement.replace('_', ' ')} {self.value}"
         unit = {"metre": " m", "share": ""}.get(self.unit or "", "")
         name = "" if self.threshold_name == "nothing" else f" ({self.threshold_name})"
         return f"{self.measurement} {_brief(self.value)}{unit} {self.comparison} {_brief(self.threshold)}{unit}{name}"

@@ -155,8 +155,7 @@ class_because(Thing, Class, because(Text, true, "", [], Evidence, [])) :-
 %   reason(+Call, -Truth, -Tests, -Evidence) is nondet: on what a literal with its values rests.
 
 reason(Call, unknown, [], []) :-
-    Call =.. [_|Arguments],
-    memberchk('$some'(_), Arguments),
+    unseen(Call),
     !.
 reason(Call, Truth, Tests, Evidence) :-
     spatial_call(Call, Relation, A, B),

@@ -53,8 +53,9 @@ read_goal(Text, Goal, Bindings) :-
     term_string(Term, Tidy, [ module(vocabulary), variable_names(All), syntax_errors(error),
                               double_quotes(string), cycles(false) ]),
     maplist(not_a_class, All),
-    exclude(underscored, All, Bindings),
-    check(Term, Goal).
+    check(Term, Goal),
+    free_variables(Goal, Free, []),
+    include(free_and_named(Free), All, Bindings).
 
 tidy(Text, Tidy) :-
     split_string(Text, "", " \t\r\n", [Trimmed]),
@@ -65,8 +66,31 @@ tidy(Text, Tidy) :-
     ;   Tidy = Trimmed
     ).
 
-underscored(Name=_) :-
-    sub_atom(Name, 0, 1, _, '_').
+free_and_named(Free, Name=Variable) :-
+    \+ sub_atom(Name, 0, 1, _, '_'),
+    term_variables(Variable, Variables),
+    member(One, Variables),
+    among(Free, One),
+    !.
+
+%   free_variables(+Goal, -Variables, ?Rest): those that an answer binds, not those inside a negation or an aggregate.
+free_variables(literal(_, _, Visible), Variables, Rest) :- !,
+    append(Visible, Rest, Variables).
+free_variables(plain(Call), Variables, Rest) :- !,
+    term_variables(Call, Own),
+    append(Own, Rest, Variables).
+free_variables(not(_), Rest, Rest) :- !.
+free_variables(all(_, _), Rest, Rest) :- !.
+free_variables(collect(How, _, _), Variables, Rest) :- !,
+    functor(How, _, Arity),
+    arg(Arity, How, Result),
+    term_variables(Result, Own),
+    append(Own, Rest, Variables).
+free_variables(sequence(_, Goal), Variables, Rest) :- !,
+    free_variables(Goal, Variables, Rest).
+free_variables(Goal, Variables, Rest) :-
+    Goal =.. [_|Parts],
+    foldl(free_variables, Parts, Variables, Rest).
 
 not_a_class(Name=_) :-
     atom_length(Name, Length),
@@ -295,11 +319,18 @@ nearest(Name, Candidates, Nearest) :-
     sort(Candidates, Unique),
     findall(Likeness-Candidate,
             ( member(Candidate, Unique),
-              isub(Name, Candidate, Likeness, [normalize(true), zero_to_one(true)]),
-              Likeness > 0.6 ),
+              likeness(Name, Candidate, Likeness) ),
             Scored),
     sort(1, @>=, Scored, Sorted),
     findall(C, ( nth1(I, Sorted, _-C), I =< 3 ), Nearest).
+
+likeness(Name, Candidate, Likeness) :-
+    dwim_match(Name, Candidate),
+    !,
+    Likeness = 1.
+likeness(Name, Candidate, Likeness) :-
+    isub(Name, Candidate, Likeness, [normalize(true), zero_to_one(true)]),
+    Likeness > 0.6.
 
 refuse(Term) :-
     functor(Term, Name, Arity),

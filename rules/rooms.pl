@@ -104,7 +104,7 @@ room_type(Room, Type) :-
 
 %!  room_type(?Room, ?Type, -Reason) is nondet.
 %
-%   As room_type/2; Reason is told, or evidence(Sum, [Class-Weight, ...]) with
+%   As room_type/2; Reason is told, or evidence(Sum, [speaks(Class, Weight), ...]) with
 %   the weightiest class first, or doors(Number).
 
 room_type(Room, Type, Reason) :-
@@ -159,7 +159,7 @@ score(Classes, Type, Sum, Because) :-
     sort(1, @>=, Weights, Sorted),
     findall(W, member(W-_, Sorted), Ws),
     sum_list(Ws, Sum),
-    findall(S-W, member(W-S, Sorted), Because).
+    findall(speaks(S, W), member(W-S, Sorted), Because).
 
 spoken_for(Classes, Type) :-
     member(Class, Classes),

@@ -380,23 +380,24 @@ exempt(above, _, ceiling, B, wall) :-
 %   label_planes/3 minimises.
 
 labelling_cost(Planes, Relations, Labels, Cost) :-
-    foldl([Plane, C0, C]>>( arg(1, Plane, Id),
-                            memberchk(Id-Label, Labels),
-                            label_cost(Plane, Label, C1),
-                            C is C0+C1
-                          ),
-          Planes, 0.0, Cost),
+    costs(Planes, Labels, 0.0, Cost),
     forall(member(relation(Relation, A, B), Relations),
-           ( plane_of(A, Planes, PlaneA),
-             plane_of(B, Planes, PlaneB),
-             memberchk(A-LabelA, Labels),
+           ( memberchk(A-LabelA, Labels),
              memberchk(B-LabelB, Labels),
-             allowed(Relation, PlaneA, LabelA, PlaneB, LabelB)
+             memberchk(plane(A, A1, A2, A3, A4, A5, A6), Planes),
+             memberchk(plane(B, B1, B2, B3, B4, B5, B6), Planes),
+             allowed(Relation, plane(A, A1, A2, A3, A4, A5, A6), LabelA,
+                     plane(B, B1, B2, B3, B4, B5, B6), LabelB)
            )).
 
-plane_of(Id, Planes, Plane) :-
-    Plane = plane(Id, _, _, _, _, _, _),
-    memberchk(Plane, Planes).
+costs([], _, Cost, Cost).
+costs([Plane|Planes], Labels, Cost0, Cost) :-
+    arg(1, Plane, Id),
+    memberchk(Id-Label, Labels),
+    label_cost(Plane, Label, C),
+    !,
+    Cost1 is Cost0+C,
+    costs(Planes, Labels, Cost1, Cost).
 
 %!  label_planes(+Planes, +Relations, -Labels) is det.
 %
@@ -404,42 +405,39 @@ plane_of(Id, Planes, Plane) :-
 %   consistent labelling, or the best found within search_bound/1.
 %   Relations is a list of relation(Name, IdA, IdB).
 %
-%   Branch and bound with forward checking: domains are bit masks, the
+%   Branch and bound with forward checking. Domains are bit masks; the
 %   bound is the sum of what each open plane costs at least. Whenever the
-%   open planes fall apart into parts without constraints between them, each
-%   part is solved for itself.
+%   open planes fall apart into parts without constraints between them,
+%   each part is solved for itself.
 
 label_planes(Planes, Relations, Labels) :-
     length(Planes, N),
     compound_name_arguments(Vector, planes, Planes),
-    numbered_ids(Planes, Index),
-    functor(Options, options, N),
-    functor(Domains, domains, N),
+    compound_name_arity(Options, options, N),
+    compound_name_arity(Domains, domains, N),
     start_domains(N, Vector, Options, Domains),
-    arcs(Relations, Index, Vector, Domains, N, Arcs),
-    reduce_settled(N, Arcs, Domains),
+    arcs(Relations, Vector, Domains, Arcs),
+    spread_settled(N, Arcs, Domains),
     search_bound(Bound),
     statistics(inferences, Now),
     Deadline is Now+Bound,
-    Network = network(Domains, Options, Arcs, Deadline),
-    findall(I, ( between(1, N, I), open_plane(Domains, I) ), Open),
-    solve_parts(Open, Network, 1.0e12, _, [], Choice),
-    read_labels(1, Planes, Domains, Choice, Labels).
+    numlist(1, N, All),
+    divide(All, Domains, Open, Settled),
+    solve_parts(Open, network(Domains, Options, Arcs, Deadline), 1.0e12, _, Choice),
+    chosen(Settled, Domains, Choice, Bits),
+    keysort(Bits, Sorted),
+    read_labels(Planes, Sorted, Labels).
 
-numbered_ids(Planes, Index) :-
-    findall(Id-I, ( nth1(I, Planes, Plane), arg(1, Plane, Id) ), Pairs),
-    list_to_assoc(Pairs, Index).
+chosen([], _, Choice, Choice).
+chosen([I|Is], Domains, Choice, [I-Bit|Bits]) :-
+    arg(I, Domains, Bit),
+    chosen(Is, Domains, Choice, Bits).
 
-read_labels(_, [], _, _, []).
-read_labels(I, [Plane|Planes], Domains, Choice, [Id-Label|Labels]) :-
+read_labels([], [], []).
+read_labels([Plane|Planes], [_-Bit|Bits], [Id-Label|Labels]) :-
     arg(1, Plane, Id),
-    (   memberchk(I-Bit, Choice)
-    ->  true
-    ;   arg(I, Domains, Bit)
-    ),
     bit(Label, Bit),
-    I1 is I+1,
-    read_labels(I1, Planes, Domains, Choice, Labels).
+    read_labels(Planes, Bits, Labels).
 
 bit(wall, 1).
 bit(floor, 2).
@@ -447,8 +445,8 @@ bit(ceiling, 4).
 bit(door, 8).
 bit(no_feature, 16).
 
-%   Options: for each plane its Cost-Bit, cheapest first. Domains: the
-%   union of the bits.
+%   Options: for each plane its Cost-Bit, cheapest first. Domains: which
+%   bits are still possible.
 
 start_domains(0, _, _, _) :-
     !.
@@ -457,189 +455,298 @@ start_domains(I, Vector, Options, Domains) :-
     findall(Cost-Bit, ( label_cost(Plane, Label, Cost), bit(Label, Bit) ), Pairs),
     keysort(Pairs, Sorted),
     arg(I, Options, Sorted),
-    foldl([_-Bit, M0, M]>>(M is M0 \/ Bit), Sorted, 0, Mask),
+    union_of_bits(Sorted, 0, Mask),
     arg(I, Domains, Mask),
     I1 is I-1,
     start_domains(I1, Vector, Options, Domains).
 
-open_plane(Domains, I) :-
-    arg(I, Domains, Mask),
+union_of_bits([], Mask, Mask).
+union_of_bits([_-Bit|Pairs], Mask0, Mask) :-
+    Mask1 is Mask0 \/ Bit,
+    union_of_bits(Pairs, Mask1, Mask).
+
+open(Mask) :-
     Mask /\ (Mask-1) =\= 0.
 
-%   Arcs: arg I is a list of J-Masks, where Masks is m(Wall, Floor, Ceiling,
-%   Door, NoFeature): what J can be for each label of I.
+%   The planes with a choice left, and those without.
 
-arcs(Relations, Index, Vector, Domains, N, Arcs) :-
-    findall(I-(J-Masks),
+divide([], _, [], []).
+divide([I|Is], Domains, Open, Settled) :-
+    arg(I, Domains, Mask),
+    (   open(Mask)
+    ->  Open = [I|Open1],
+        divide(Is, Domains, Open1, Settled)
+    ;   Settled = [I|Settled1],
+        divide(Is, Domains, Open, Settled1)
+    ).
+
+%   Arcs: argument I is a list of J-Masks, where Masks is m(Wall, Floor,
+%   Ceiling, Door, NoFeature): what J can be for each label of I.
+
+arcs(Relations, Vector, Domains, Arcs) :-
+    compound_name_arguments(Vector, _, Planes),
+    number_ids(Planes, 1, Numbered),
+    list_to_assoc(Numbered, Index),
+    findall(Arc,
             ( member(relation(Relation, A, B), Relations),
-              get_assoc(A, Index, IA),
-              get_assoc(B, Index, IB),
-              arc(Relation, IA, IB, Vector, Domains, I, J, Masks)
+              get_assoc(A, Index, I),
+              get_assoc(B, Index, J),
+              arc(Relation, I, J, Vector, Domains, Arc)
             ),
             Pairs),
     keysort(Pairs, Sorted),
-    functor(Arcs, arcs, N),
     group_pairs_by_key(Sorted, Groups),
-    maplist([I-L]>>arg(I, Arcs, L), Groups),
-    forall(fail, true),
-    fill_empty(N, Arcs).
+    length(Planes, N),
+    fill(1, N, Groups, Lists),
+    compound_name_arguments(Arcs, arcs, Lists).
 
-fill_empty(0, _) :-
+number_ids([], _, []).
+number_ids([Plane|Planes], I, [Id-I|Pairs]) :-
+    arg(1, Plane, Id),
+    I1 is I+1,
+    number_ids(Planes, I1, Pairs).
+
+fill(I, N, _, []) :-
+    I > N,
     !.
-fill_empty(I, Arcs) :-
-    arg(I, Arcs, List),
-    (   var(List)
-    ->  List = []
-    ;   true
+fill(I, N, Groups, [List|Lists]) :-
+    (   Groups = [I-List|Groups1]
+    ->  true
+    ;   List = [],
+        Groups1 = Groups
     ),
-    I1 is I-1,
-    fill_empty(I1, Arcs).
+    I1 is I+1,
+    fill(I1, N, Groups1, Lists).
 
-arc(Relation, A, B, Vector, Domains, I, J, Masks) :-
-    arg(A, Vector, PlaneA),
-    arg(B, Vector, PlaneB),
-    arg(A, Domains, DomainA),
-    arg(B, Domains, DomainB),
-    pairs_allowed(Relation, PlaneA, DomainA, PlaneB, DomainB, Pairs),
-    (   I = A,
-        J = B,
-        masks(Pairs, DomainB, Masks)
-    ;   I = B,
-        J = A,
-        findall(Y-X, member(X-Y, Pairs), Turned),
-        masks(Turned, DomainA, Masks)
-    ).
-
-%   The pairs of bits that go together; fails where all do.
-
-pairs_allowed(Relation, PlaneA, DomainA, PlaneB, DomainB, Pairs) :-
+arc(Relation, I, J, Vector, Domains, Arc) :-
+    arg(I, Vector, A),
+    arg(J, Vector, B),
+    arg(I, Domains, DomainA),
+    arg(J, Domains, DomainB),
     findall(BitA-BitB,
-            ( bit(LabelA, BitA), DomainA /\ BitA =\= 0,
-              bit(LabelB, BitB), DomainB /\ BitB =\= 0,
-              allowed(Relation, PlaneA, LabelA, PlaneB, LabelB)
+            ( bit(LabelA, BitA),
+              DomainA /\ BitA =\= 0,
+              bit(LabelB, BitB),
+              DomainB /\ BitB =\= 0,
+              allowed(Relation, A, LabelA, B, LabelB)
             ),
             Pairs),
     length(Pairs, Many),
-    Many < popcount(DomainA)*popcount(DomainB).
+    Many < popcount(DomainA)*popcount(DomainB),     % else no constraint
+    (   masks(Pairs, Masks),
+        Arc = I-(J-Masks)
+    ;   transpose_pairs(Pairs, Turned),
+        masks(Turned, Masks),
+        Arc = J-(I-Masks)
+    ).
 
-masks(Pairs, _Domain, m(Wall, Floor, Ceiling, Door, NoFeature)) :-
-    mask(1, Pairs, Wall),
-    mask(2, Pairs, Floor),
-    mask(4, Pairs, Ceiling),
-    mask(8, Pairs, Door),
-    mask(16, Pairs, NoFeature).
+masks(Pairs, m(Wall, Floor, Ceiling, Door, NoFeature)) :-
+    mask(Pairs, 1, 0, Wall),
+    mask(Pairs, 2, 0, Floor),
+    mask(Pairs, 4, 0, Ceiling),
+    mask(Pairs, 8, 0, Door),
+    mask(Pairs, 16, 0, NoFeature).
 
-mask(Bit, Pairs, Mask) :-
-    foldl([X-Y, M0, M]>>(X =:= Bit -> M is M0 \/ Y ; M = M0), Pairs, 0, Mask).
+mask([], _, Mask, Mask).
+mask([X-Y|Pairs], Bit, Mask0, Mask) :-
+    (   X =:= Bit
+    ->  Mask1 is Mask0 \/ Y
+    ;   Mask1 = Mask0
+    ),
+    mask(Pairs, Bit, Mask1, Mask).
 
-allowed_mask(1, m(M, _, _, _, _), M).
-allowed_mask(2, m(_, M, _, _, _), M).
-allowed_mask(4, m(_, _, M, _, _), M).
-allowed_mask(8, m(_, _, _, M, _), M).
-allowed_mask(16, m(_, _, _, _, M), M).
+mask_for(1, m(M, _, _, _, _), M).
+mask_for(2, m(_, M, _, _, _), M).
+mask_for(4, m(_, _, M, _, _), M).
+mask_for(8, m(_, _, _, M, _), M).
+mask_for(16, m(_, _, _, _, M), M).
 
 %   Planes that can only be one thing restrict the others before the search.
+%   Settled planes that contradict each other are left as they are.
 
-reduce_settled(N, Arcs, Domains) :-
-    findall(I, ( between(1, N, I), \+ open_plane(Domains, I) ), Settled),
-    maplist([I]>>( arg(I, Domains, Bit), arg(I, Arcs, List), restrict(List, Bit, Domains) ), Settled).
+spread_settled(0, _, _) :-
+    !.
+spread_settled(I, Arcs, Domains) :-
+    arg(I, Domains, Mask),
+    (   open(Mask)
+    ->  true
+    ;   arg(I, Arcs, List),
+        restrict_open(List, Mask, Domains)
+    ),
+    I1 is I-1,
+    spread_settled(I1, Arcs, Domains).
 
-restrict([], _, _).
-restrict([J-Masks|Arcs], Bit, Domains) :-
-    allowed_mask(Bit, Masks, Mask),
+restrict_open([], _, _).
+restrict_open([J-Masks|List], Bit, Domains) :-
     arg(J, Domains, Old),
+    (   open(Old)
+    ->  mask_for(Bit, Masks, Mask),
+        New is Old /\ Mask,
+        setarg(J, Domains, New)
+    ;   true
+    ),
+    restrict_open(List, Bit, Domains).
+
+%   forward_check(+Neighbours, +Bit, +Arcs, +Domains) is semidet.
+%
+%   Take from the neighbours what does not go with Bit, and go on from those
+%   that have one label left; fails when one has none.
+
+forward_check([], _, _, _).
+forward_check([J-Masks|Neighbours], Bit, Arcs, Domains) :-
+    arg(J, Domains, Old),
+    mask_for(Bit, Masks, Mask),
     New is Old /\ Mask,
     (   New =:= Old
     ->  true
-    ;   New =:= 0
-    ->  true
-    ;   setarg(J, Domains, New)
+    ;   New =\= 0,
+        setarg(J, Domains, New),
+        (   open(New)
+        ->  true
+        ;   arg(J, Arcs, Next),
+            forward_check(Next, New, Arcs, Domains)
+        )
     ),
-    restrict(Arcs, Bit, Domains).
+    forward_check(Neighbours, Bit, Arcs, Domains).
 
-%!  solve_parts(+Open, +Network, +Bound, -Cost, +Choice0, -Choice) is semidet.
+%   solve_parts(+Open, +Network, +Bound, -Cost, -Choice) is semidet.
 %
-%   The cheapest labels of the planes Open (a list of their numbers), part
-%   by part, as Number-Bit before Choice0; fails when there is none cheaper
-%   than Bound.
+%   The cheapest labels of the planes Open (a list of their numbers) as
+%   Number-Bit; fails when there are none cheaper than Bound.
 
-solve_parts(Open, Network, Bound, Cost, Choice0, Choice) :-
+solve_parts([], _, Bound, 0.0, []) :-
+    !,
+    Bound > 0.0.
+solve_parts(Open, Network, Bound, Cost, Choice) :-
     Network = network(Domains, Options, Arcs, _),
     least_cost(Open, Domains, Options, 0.0, Least),
     Least < Bound,
     parts(Open, Domains, Arcs, Parts),
-    solve_each(Parts, Network, Bound, Least, Cost, Choice0, Choice).
+    solve_each(Parts, Network, Bound, Least, Cost, [], Choice).
 
 solve_each([], _, _, Cost, Cost, Choice, Choice).
 solve_each([Part|Parts], Network, Bound, Cost0, Cost, Choice0, Choice) :-
     Network = network(Domains, Options, _, _),
     least_cost(Part, Domains, Options, 0.0, Least),
-    Spare is Bound - (Cost0-Least),
-    solve(Part, Network, Spare, PartCost, PartChoice),
+    PartBound is Bound-Cost0+Least,
+    solve(Part, Network, PartBound, PartCost, PartChoice),
     append(PartChoice, Choice0, Choice1),
-    Cost1 is Cost0 - Least + PartCost,
+    Cost1 is Cost0-Least+PartCost,
     solve_each(Parts, Network, Bound, Cost1, Cost, Choice1, Choice).
 
 least_cost([], _, _, Cost, Cost).
 least_cost([I|Is], Domains, Options, Cost0, Cost) :-
-    cheapest(I, Domains, Options, C),
+    arg(I, Domains, Mask),
+    arg(I, Options, List),
+    cheapest(List, Mask, C, _),
     Cost1 is Cost0+C,
     least_cost(Is, Domains, Options, Cost1, Cost).
 
-cheapest(I, Domains, Options, Cost) :-
-    arg(I, Domains, Mask),
-    arg(I, Options, List),
-    first_in(List, Mask, Cost).
-
-first_in([C-Bit|More], Mask, Cost) :-
+cheapest([C-Bit|Options], Mask, Cost, Label) :-
     (   Bit /\ Mask =\= 0
-    ->  Cost = C
-    ;   first_in(More, Mask, Cost)
+    ->  Cost = C,
+        Label = Bit
+    ;   cheapest(Options, Mask, Cost, Label)
     ).
 
-%   One part: branch on its most constraining plane.
+%   One part: branch on the plane that most others depend on. Best keeps the
+%   cheapest solution over the alternatives, which are left by failure, so
+%   that the domains are restored.
 
 solve([I], network(Domains, Options, _, _), Bound, Cost, [I-Bit]) :-
     !,
     arg(I, Domains, Mask),
     arg(I, Options, List),
-    member(Cost-Bit, List),
-    Bit /\ Mask =\= 0,
-    !,
+    cheapest(List, Mask, Cost, Bit),
     Cost < Bound.
 solve(Part, Network, Bound, Cost, Choice) :-
     Network = network(Domains, Options, Arcs, Deadline),
-    branching_plane(Part, Arcs, Options, I),
-    exclude(==(I), Part, Rest),
-    arg(I, Domains, Mask),
+    branching_plane(Part, Network, I),
     arg(I, Options, List),
+    arg(I, Arcs, Neighbours),
+    arg(I, Domains, Mask),
+    selectchk(I, Part, Rest),
     Best = best(Bound, none),
     (   member(C-Bit, List),
         Bit /\ Mask =\= 0,
-        arg(2, Best, Found),
-        (   Found \== none,
-            statistics(inferences, Now),
-            Now > Deadline
-        ->  !,
-            fail
-        ;   true
-        ),
+        in_time(Best, Deadline),
         setarg(I, Domains, Bit),
-        arg(I, Arcs, Neighbours),
-        forward_check(Neighbours, Bit, Domains),
+        forward_check(Neighbours, Bit, Arcs, Domains),
+        divide(Rest, Domains, Open, Settled),
+        least_cost(Settled, Domains, Options, C, Cost0),
         arg(1, Best, Ceiling),
-        Spare is Ceiling-C,
-        partition([J]>>open_plane(Domains, J), Rest, Open, Fixed),
-        fixed_cost(Fixed, Domains, Options, 0.0, FixedCost, FixedChoice),
-        consistent(Fixed, Arcs, Domains),
-        Spare1 is Spare-FixedCost,
-        solve_parts(Open, Network, Spare1, OpenCost, [I-Bit|FixedChoice], Solution),
-        Total is C+FixedCost+OpenCost,
-        Total < Ceiling,
+        Spare is Ceiling-Cost0,
+        solve_parts(Open, Network, Spare, OpenCost, OpenChoice),
+        chosen([I|Settled], Domains, OpenChoice, Solution),
+        Total is Cost0+OpenCost,
         nb_setarg(1, Best, Total),
         nb_setarg(2, Best, Solution),
         fail
-    ;   true
+    ;   Best = best(Cost, Choice),
+        Choice \== none
+    ).
+
+in_time(best(_, none), _) :-
+    !.
+in_time(_, Deadline) :-
+    statistics(inferences, Now),
+    Now < Deadline.
+
+%   The open plane of a part with the most open neighbours; of equals the
+%   one that would cost most as no_feature.
+
+branching_plane(Part, network(Domains, Options, Arcs, _), Plane) :-
+    keyed(Part, Domains, Options, Arcs, Keyed),
+    max_member(_-Plane, Keyed).
+
+keyed([], _, _, _, []).
+keyed([I|Is], Domains, Options, Arcs, [k(Degree, Weight)-I|Keyed]) :-
+    arg(I, Arcs, Neighbours),
+    degree(Neighbours, Domains, 0, Degree),
+    arg(I, Options, List),
+    last(List, Weight-_),
+    keyed(Is, Domains, Options, Arcs, Keyed).
+
+degree([], _, Degree, Degree).
+degree([J-_|Neighbours], Domains, Degree0, Degree) :-
+    arg(J, Domains, Mask),
+    (   open(Mask)
+    ->  Degree1 is Degree0+1
+    ;   Degree1 = Degree0
     ),
-    Best = best(Cost, Choice),
-    Choice \== none.
+    degree(Neighbours, Domains, Degree1, Degree).
+
+%   The parts that open planes fall into.
+
+parts(Open, Domains, Arcs, Parts) :-
+    compound_name_arity(Domains, _, N),
+    compound_name_arity(Marks, marks, N),
+    parts_(Open, Domains, Arcs, Marks, Parts).
+
+parts_([], _, _, _, []).
+parts_([I|Is], Domains, Arcs, Marks, Parts) :-
+    arg(I, Marks, Mark),
+    (   nonvar(Mark)
+    ->  parts_(Is, Domains, Arcs, Marks, Parts)
+    ;   Mark = seen,
+        reach([I], Domains, Arcs, Marks, Part),
+        Parts = [Part|Parts1],
+        parts_(Is, Domains, Arcs, Marks, Parts1)
+    ).
+
+reach([], _, _, _, []).
+reach([I|Stack], Domains, Arcs, Marks, [I|Part]) :-
+    arg(I, Arcs, Neighbours),
+    push(Neighbours, Domains, Marks, Stack, Stack1),
+    reach(Stack1, Domains, Arcs, Marks, Part).
+
+push([], _, _, Stack, Stack).
+push([J-_|Neighbours], Domains, Marks, Stack0, Stack) :-
+    arg(J, Marks, Mark),
+    (   var(Mark),
+        arg(J, Domains, Mask),
+        open(Mask)
+    ->  Mark = seen,
+        push(Neighbours, Domains, Marks, [J|Stack0], Stack)
+    ;   push(Neighbours, Domains, Marks, Stack0, Stack)
+    ).

@@ -2,6 +2,7 @@
           [ signature/2,                % ?Head, -Documentation
             possibly/1,                 % :Goal
             possible_instance/2,        % ?Id, +Class
+            unseen/1,                   % +Goal
             known_class/1,              % ?Class
             node/2, label/2, named/2, position/4, size/4, yaw/2, confidence/2, seen/3, attribute/3,
             measured/3, measured/4, unobserved/1,
@@ -270,8 +271,7 @@ possible_instance(Id, Class) :-
 %   was not seen yet.
 
 possibly(Goal) :-
-    Goal =.. [_|Arguments],
-    memberchk('$some'(_), Arguments),
+    unseen(Goal),
     !.
 possibly(instance_of(Id, Class)) :-
     !,
@@ -311,6 +311,16 @@ possibly(Goal) :-
 
 graded(on).     graded(supports).       graded(in).     graded(contains).
 graded(above).  graded(under).          graded(near).   graded(touching).
+
+%!  unseen(+Goal) is semidet.
+%
+%   An argument of Goal stands for something that was not seen yet.
+
+unseen(Goal) :-
+    arg(_, Goal, Argument),
+    nonvar(Argument),
+    Argument = '$some'(_),
+    !.
 
 own_frame(in_front_of(_, B), B).
 own_frame(behind(_, B), B).
