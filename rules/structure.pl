@@ -423,10 +423,13 @@ label_planes(Planes, Relations, Labels) :-
     Deadline is Now+Bound,
     numlist(1, N, All),
     divide(All, Domains, Open, Settled),
-    solve_parts(Open, network(Domains, Options, Arcs, Deadline), 1.0e12, _, Choice),
+    unbounded(Unbounded),
+    solve_parts(Open, network(Domains, Options, Arcs, Deadline), Unbounded, _, Choice),
     chosen(Settled, Domains, Choice, Bits),
     keysort(Bits, Sorted),
     read_labels(Planes, Sorted, Labels).
+
+unbounded(1.0e12).
 
 chosen([], _, Choice, Choice).
 chosen([I|Is], Domains, Choice, [I-Bit|Bits]) :-
@@ -686,7 +689,11 @@ solve(Part, Network, Bound, Cost, Choice) :-
         Choice \== none
     ).
 
-in_time(best(_, none), _) :-
+%   Late, only what has no solution at all yet is still solved.
+
+in_time(best(Bound, none), _) :-
+    unbounded(Unbounded),
+    Bound > 0.5*Unbounded,
     !.
 in_time(_, Deadline) :-
     statistics(inferences, Now),

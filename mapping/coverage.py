@@ -1,0 +1,186 @@
+"""What part of a plane has been seen: a raster of covered cells in a frame fixed to the plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from mapping.kernels import planes as kernels
+
+Array: TypeAlias = NDArray[Any]
+
+_SNAP = np.cos(np.deg2rad(20.0))
+_TRIM = 0.05  # rows and columns with less than this share of the fullest one do not count for the extent
+
+
+@dataclass(frozen=True)
+class PlaneFrame:
+    """Axes of a raster: `u`, `v`, `normal` (3,), right-handed, and an `origin` (3,) [m] in map.
+
+    Points are projected to it along `normal`. It need not be the plane's own normal exactly, so that it can stay while the plane
+    is refined: `lift` goes back to the plane itself.
+    """
+
+    origin: Array
+    u: Array
+    v: Array
+    normal: Array
+
+    @staticmethod
+    def about(origin: Array, normal: Array) -> PlaneFrame:
+        """The frame for a plane: u, v are map x, ±y when it is nearly level, and level, up when it is nearly upright."""
+        if abs(normal[2]) > _SNAP:
+            n = np.array([0.0, 0.0, np.sign(normal[2])])
+            u = np.array([1.0, 0.0, 0.0])
+        else:
+            n = np.array(normal, dtype=np.float64)
+            if abs(n[2]) < np.sqrt(1.0 - _SNAP**2):
+                n[2] = 0.0
+            n /= np.linalg.norm(n)
+            u = np.array([-n[1], n[0], 0.0])
+            u /= np.linalg.norm(u)
+        return PlaneFrame(np.asarray(origin, dtype=np.float64), u, np.cross(n, u), n)
+
+    def project(self, points: Array) -> Array:
+        """Points (N, 3) [m] → (N, 2) [m] along u and v."""
+        return np.asarray((points - self.origin) @ np.stack([self.u, self.v], axis=1))
+
+    def lift(self, uv: Array, normal: Array, offset: float) -> Array:
+        """(N, 2) [m] → the points (N, 3) [m] of the plane normal·p = offset that project there."""
+        flat = self.origin + uv @ np.stack([self.u, self.v])
+        along = (offset - flat @ normal) / (self.normal @ normal)
+        return np.asarray(flat + along[:, None] * self.normal)
+
+
+class Coverage:
+    """The cells of one plane that hold samples, as counts, so that samples can be taken away again.
+
+    frame       : where u = v = 0 lies and how the raster is turned
+    cell_size_m : edge of a cell [m]
+    """
+
+    def __init__(self, frame: PlaneFrame, cell_size_m: float) -> None:
+        self.frame = frame
+        self.cell_size_m = cell_size_m
+        self.n_covered = 0
+        self._low = np.zeros(2, np.int64)
+        self._counts = np.zeros((0, 0), np.uint16)
+        self._rows = np.zeros(0, np.int32)
+        self._columns = np.zeros(0, np.int32)
+
+    # -- change -------------------------------------------------------------------------------------------
+    def add(self, points: Array) -> None:
+        """Cover the cells of samples (N, 3) [m]."""
+        cell = self._cells(points)
+        self._reserve(cell.min(axis=0), cell.max(axis=0))
+        self.n_covered += kernels.cover(self._counts, self._rows, self._columns, cell - self._low, 1)
+
+    def remove(self, points: Array) -> None:
+        """Take away samples (N, 3) [m] that were added before."""
+        self.n_covered += kernels.cover(self._counts, self._rows, self._columns, self._cells(points) - self._low, -1)
+
+    def _cells(self, points: Array) -> NDArray[np.int64]:
+        return np.floor(self.frame.project(points) / self.cell_size_m).astype(np.int64)
+
+    def _reserve(self, low: Array, high: Array) -> None:
+        size = np.array(self._counts.shape)
+        if (low >= self._low).all() and (high < self._low + size).all() and size.all():
+            return
+        if not size.all():
+            self._low = low.copy()
+        spare = np.maximum(8, size // 2)
+        new_low = np.where(low < self._low, low - spare, self._low)
+        new_high = np.where(high >= self._low + size, high + 1 + spare, self._low + size)
+        grown = np.zeros(new_high - new_low, np.uint16)
+        u, v = self._low - new_low
+        grown[u : u + size[0], v : v + size[1]] = self._counts
+        self._rows, self._columns = (
+            np.pad(old, (start, total - start - len(old)))
+            for old, start, total in ((self._rows, u, len(grown)), (self._columns, v, grown.shape[1]))
+        )
+        self._counts, self._low = grown, new_low
+
+    # -- what is covered ----------------------------------------------------------------------------------
+    def area_m2(self, normal: Array) -> float:
+        """Area [m²] of the covered cells on a plane with this normal."""
+        return float(self.n_covered * self.cell_size_m**2 / max(abs(self.frame.normal @ normal), 0.1))
+
+    def extent(self) -> NDArray[np.float64]:
+        """[[u low, u high], [v low, v high]] [m] of what is covered, without stray rows and columns."""
+        ends = np.empty((2, 2))
+        for axis, line in enumerate((self._rows, self._columns)):
+            full = np.flatnonzero(line > _TRIM * line.max(initial=0))
+            ends[axis] = (full[0], full[-1] + 1) if len(full) else (0, 0)
+            ends[axis] += self._low[axis]
+        return ends * self.cell_size_m
+
+    def covered(self, uv: Array) -> NDArray[np.bool_]:
+        """(N,) whether places (N, 2) [m] lie in a covered cell or beside one."""
+        mask = self._counts > 0
+        cell = np.floor(uv / self.cell_size_m).astype(np.int64) - self._low
+        hit = np.zeros(len(uv), dtype=bool)
+        for du in (-1, 0, 1):
+            for dv in (-1, 0, 1):
+                u, v = cell[:, 0] + du, cell[:, 1] + dv
+                inside = (u >= 0) & (v >= 0) & (u < mask.shape[0]) & (v < mask.shape[1])
+                hit[inside] |= mask[u[inside], v[inside]]
+        return hit
+
+    def parts(self, reach_m: float) -> tuple[int, NDArray[np.int32], int]:
+        """The pieces of what is covered that lie more than `reach_m` to twice that apart: how many, the piece (from 1; 0: none)
+        of each coarse cell, and the edge of a coarse cell in cells (see `part_of`)."""
+        stride = max(1, round(reach_m / self.cell_size_m))
+        u, v = (-(-n // stride) * stride for n in self._counts.shape)
+        mask = np.zeros((u, v), dtype=bool)
+        mask[: self._counts.shape[0], : self._counts.shape[1]] = self._counts > 0
+        coarse = mask.reshape(u // stride, stride, v // stride, stride).any(axis=(1, 3))
+        labels, n = ndimage.label(coarse, structure=np.ones((3, 3)))
+        return int(n), labels.astype(np.int32), stride
+
+    def part_of(self, points: Array, labels: NDArray[np.int32], stride: int) -> NDArray[np.int32]:
+        """The piece (N,) that each covered sample (N, 3) [m] belongs to, from `parts`."""
+        cell = (self._cells(points) - self._low) // stride
+        return np.asarray(labels[cell[:, 0], cell[:, 1]])
+
+    def touches(self, points: Array, reach_m: float) -> bool:
+        """Whether one of the points (N, 3) [m] lies within about `reach_m` of a covered cell (along u and v)."""
+        n, labels, stride = self.parts(reach_m)
+        if n == 0:
+            return False
+        cell = (self._cells(points) - self._low) // stride + 1
+        near = ndimage.binary_dilation(np.pad(labels > 0, 1), structure=np.ones((3, 3)))
+        inside = ((cell >= 0) & (cell < near.shape)).all(axis=1)
+        return bool(near[cell[inside, 0], cell[inside, 1]].any())
+
+    def centres(self, stride: int = 1) -> Array:
+        """(N, 2) [m] centres of covered cells, thinned to one of `stride`² ."""
+        u, v = np.nonzero(self._counts[::stride, ::stride])
+        return (np.stack([u, v], axis=1) * stride + self._low + 0.5) * self.cell_size_m
+
+    def shape(self, least_hole_m2: float, tolerance_m: float) -> Any:
+        """What is covered as a shapely (multi)polygon in u, v [m]: gaps of one cell closed, borders simplified to
+        `tolerance_m`, holes below `least_hole_m2` filled."""
+        mask = np.pad(self._counts > 0, 3)
+        mask = ndimage.binary_closing(mask, structure=np.ones((3, 3)))
+        edges = sum(int(np.count_nonzero(np.diff(mask, axis=axis))) for axis in (0, 1))
+        corners = np.empty((edges + 4, 2), np.int32)
+        ends = np.empty(edges + 4, np.int64)
+        n = kernels.trace(mask, corners, ends)
+        rings = [(ring + self._low - 3) * self.cell_size_m for ring in np.split(corners, ends[:n])[:n]]
+        outer, inner = [], []
+        for ring in rings:
+            x, y = ring[:, 0], ring[:, 1]
+            area = 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+            if area > 0.0:
+                outer.append(shapely.Polygon(ring))
+            elif -area >= least_hole_m2:
+                inner.append(shapely.Polygon(ring))
+        whole = shapely.union_all(outer)
+        if inner:
+            whole = whole.difference(shapely.union_all(inner))
+        return whole.simplify(tolerance_m)
