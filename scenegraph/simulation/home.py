@@ -1,0 +1,339 @@
+"""A simulated home: seeded rooms full of things, and the truth about them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from mapping.geometry import SE3
+from mapping.observations import ClassInfo, LabelSpace, Observation, Scan
+from scenegraph.simulation.arrangement import Placed
+from scenegraph.simulation.contents import furnish
+from scenegraph.simulation.floorplan import WALL_M, DoorKind, FloorPlan, draw_floorplan
+from scenegraph.simulation.shapes import Array, Color
+from scenegraph.simulation.structure import TruePlane, build_structure
+
+if TYPE_CHECKING:
+    from scenegraph.simulation.rendering import Lidar, Renderer
+    from scenegraph.simulation.tour import Tour
+    from scenegraph.simulation.truth import TruthRecorder
+
+STRUCTURE_CLASSES = ("wall", "floor", "ceiling", "door", "window")
+THING_CLASSES = (
+    "apple", "armchair", "backpack", "ball", "basket", "bathtub", "bed", "bench", "bin", "book", "bottle",
+    "bowl", "box", "cabinet", "chair", "clock", "coffee_table", "counter", "cup", "cushion", "desk", "dresser", "fridge",
+    "kettle", "keyboard", "lamp", "laptop", "microwave", "mirror", "monitor", "nightstand", "office_chair", "orange", "oven",
+    "picture", "pillow", "plant", "plate", "pot", "printer", "shelf", "shoe", "sink", "sofa", "speaker", "stool", "table",
+    "teddy_bear", "toaster", "toilet", "towel", "toy_block", "tv", "tv_stand", "vase", "wardrobe", "washing_machine",
+)  # fmt: skip
+CONTAINER_CLASSES = frozenset({"basket", "bathtub", "bin", "bowl", "box", "pot", "sink"})
+_STRUCTURE_COLORS: dict[str, Color] = {
+    "wall": (190, 190, 180), "floor": (150, 120, 90), "ceiling": (240, 240, 240), "door": (140, 90, 50), "window": (150, 200, 240),
+}  # fmt: skip
+
+Noise = Literal["none", "realistic"]
+
+
+@dataclass(frozen=True)
+class TrueRoom:
+    """A room: its free floor between the walls as a polygon (K, 2) in map [m], counter-clockwise."""
+
+    id: str
+    kind: str
+    footprint: Array
+    floor_z: float
+    ceiling_z: float
+
+
+@dataclass(frozen=True, eq=False)
+class TrueObject:
+    """A thing: its mesh in map (vertices (N, 3) [m], triangles (M, 3)) and the box that fits it in its own orientation.
+
+    room       id of the room it was put in
+    support    id of the thing it was put on or in; None for the floor or a wall
+    container  whether things of its class hold others
+    """
+
+    id: str
+    label: str
+    vertices: Array
+    triangles: Array
+    colors: Array
+    center: Array
+    size: Array
+    rotation_wxyz: Array
+    yaw: float
+    room: str
+    support: str | None
+    container: bool
+
+
+@dataclass(frozen=True)
+class TrueDoor:
+    """A door, a doorway without a leaf, or a wide opening, between `rooms` (one, for the front door).
+
+    center (3,) and width, height [m] of the hole; normal (3,) horizontal, into the first room
+    """
+
+    id: str
+    kind: DoorKind
+    rooms: tuple[str, ...]
+    center: Array
+    width: float
+    height: float
+    normal: Array
+
+
+@dataclass(frozen=True)
+class TrueWindow:
+    """A window: center (3,), width, height [m] of its pane, and the horizontal normal (3,) into its room."""
+
+    id: str
+    room: str
+    center: Array
+    width: float
+    height: float
+    normal: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Home:
+    """A home in the map frame; `T_map_home` is the pose of its own axis-aligned frame.
+
+    The triangles of everything lie in one array, structure first: `vertices` (N, 3) float32 [m], `triangles` (M, 3), and
+    for each triangle its class id `triangle_class`, its entity `triangle_entity` (1 … as in `entities`; 0 = wall, floor,
+    ceiling), its true plane `triangle_plane` (-1 = none) and its colour.
+    """
+
+    seed: int
+    T_map_home: SE3
+    plan: FloorPlan
+    placed: tuple[Placed, ...]
+    rooms: tuple[TrueRoom, ...]
+    objects: tuple[TrueObject, ...]
+    doors: tuple[TrueDoor, ...]
+    windows: tuple[TrueWindow, ...]
+    structure: tuple[TruePlane, ...]
+    label_space: LabelSpace
+    vertices: Array
+    triangles: Array
+    triangle_class: Array
+    triangle_entity: Array
+    triangle_plane: Array
+    triangle_color: Array
+    entities: tuple[str, ...]
+
+    @cached_property
+    def class_ids(self) -> dict[str, int]:
+        """Class name → id in the label space."""
+        return {info.name: key for key, info in self.label_space.classes.items()}
+
+    @cached_property
+    def renderer(self) -> Renderer:
+        """Casts rays at the home; built on first use."""
+        from scenegraph.simulation.rendering import Renderer
+
+        return Renderer(self)
+
+    def object(self, object_id: str) -> TrueObject:
+        """The thing of that id; `KeyError` when there is none."""
+        return self._by_id[object_id]
+
+    @cached_property
+    def _by_id(self) -> dict[str, TrueObject]:
+        return {o.id: o for o in self.objects}
+
+    def nearest_class(self, points: Array) -> Array:
+        """Class id (N,) uint16 of the true surface closest to each point (N, 3) in map [m]."""
+        return np.asarray(self.triangle_class[self.renderer.closest_triangles(points)[0]])
+
+    def observe(
+        self,
+        *,
+        noise: Noise = "realistic",
+        seed: int = 0,
+        rate_hz: float = 2.0,
+        images_per_room: int = 30,
+        tour: Tour | None = None,
+        recorder: TruthRecorder | None = None,
+    ) -> Iterator[Observation]:
+        """What a robot on a tour sees: a `LabelSpace`, a `RobotDescription`, then an `AgentPose` and an `RgbdImage` a step.
+
+        Images are rendered one at a time, as they are asked for. `recorder` learns what was truly seen.
+        """
+        from scenegraph.simulation.observing import observe
+
+        return observe(
+            self, noise=noise, seed=seed, rate_hz=rate_hz, images_per_room=images_per_room, tour=tour, recorder=recorder
+        )
+
+    def scan(
+        self,
+        T_map_sensor: SE3,
+        *,
+        noise: Noise = "realistic",
+        seed: int = 0,
+        stamp_ns: int = 0,
+        lidar: Lidar | None = None,
+    ) -> Scan:
+        """One turn of a rotating lidar (64 × 1024 beams unless told otherwise) at its true pose, with labels."""
+        from scenegraph.simulation.observing import scan
+
+        return scan(self, T_map_sensor, noise=noise, seed=seed, stamp_ns=stamp_ns, lidar=lidar)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return simulate_home, (self.seed,)
+
+
+def simulate_home(seed: int) -> Home:
+    """The home of that seed, always the same."""
+    rng = np.random.default_rng([seed, 20])
+    plan = draw_floorplan(rng)
+    placed: list[Placed] = []
+    for room in plan.rooms:
+        placed.extend(furnish(rng, plan, room))
+    yaw = float(rng.uniform(-np.pi, np.pi))
+    turn = SE3.exp([0.0, 0.0, 0.0, 0.0, 0.0, yaw])
+    middle = np.array([plan.width / 2, plan.depth / 2, 0.0])
+    T_map_home = SE3(turn.rotation, -(turn @ middle[None])[0] + np.array([*rng.uniform(-1.0, 1.0, 2), 0.0]))
+    tints = {r.id: (_tint(rng, (222, 214, 200), 18), _tint(rng, (165, 130, 95), 30)) for r in plan.rooms}
+    return _assemble(seed, T_map_home, plan, placed, tints)
+
+
+def _tint(rng: np.random.Generator, base: Color, spread: int) -> Color:
+    r, g, b = (int(c + rng.integers(-spread, spread + 1)) for c in base)
+    return r, g, b
+
+
+def _label_space() -> LabelSpace:
+    colors = np.random.default_rng(7).integers(30, 240, (len(THING_CLASSES), 3))
+    classes = {
+        k + 1: ClassInfo(name=name, kind="stuff", color=_STRUCTURE_COLORS[name])
+        for k, name in enumerate(STRUCTURE_CLASSES)
+    }
+    for k, name in enumerate(THING_CLASSES):
+        r, g, b = (int(c) for c in colors[k])
+        classes[len(STRUCTURE_CLASSES) + k + 1] = ClassInfo(name=name, kind="thing", color=(r, g, b))
+    return LabelSpace(classes=classes)
+
+
+def _assemble(
+    seed: int, T_map_home: SE3, plan: FloorPlan, placed: list[Placed], tints: dict[str, tuple[Color, Color]]
+) -> Home:
+    label_space = _label_space()
+    ids = {info.name: key for key, info in label_space.classes.items()}
+    patches = build_structure(plan, tints)
+    objects = _true_objects(T_map_home, placed)
+    names = [h.id for h in plan.holes if h.kind == "window" or h.door in ("ajar", "closed")]
+    entities = tuple([o.id for o in objects] + names)
+    number = {name: k + 1 for k, name in enumerate(entities)}
+
+    vertices = [(T_map_home @ np.concatenate(patches.vertices))]
+    triangles = [np.concatenate(patches.triangles)]
+    labels = [np.array([ids[label] for label in patches.labels])]
+    entity = [np.array([number.get(name, 0) for name in patches.instances])]
+    plane = [np.array(patches.plane_of)]
+    color = [np.array(patches.colors)]
+    count = len(vertices[0])
+    for o in objects:
+        n = len(o.triangles)
+        vertices.append(o.vertices)
+        triangles.append(o.triangles + count)
+        labels.append(np.full(n, ids[o.label]))
+        entity.append(np.full(n, number[o.id]))
+        plane.append(np.full(n, -1))
+        color.append(o.colors)
+        count += len(o.vertices)
+    return Home(
+        seed=seed,
+        T_map_home=T_map_home,
+        plan=plan,
+        placed=tuple(placed),
+        rooms=tuple(_true_room(T_map_home, plan, k) for k in range(len(plan.rooms))),
+        objects=tuple(objects),
+        doors=tuple(_true_doors(T_map_home, plan)),
+        windows=tuple(_true_windows(T_map_home, plan)),
+        structure=tuple(_plane_in_map(T_map_home, p) for p in patches.planes),
+        label_space=label_space,
+        vertices=np.concatenate(vertices).astype(np.float32),
+        triangles=np.concatenate(triangles).astype(np.uint32),
+        triangle_class=np.concatenate(labels).astype(np.uint16),
+        triangle_entity=np.concatenate(entity).astype(np.int32),
+        triangle_plane=np.concatenate(plane).astype(np.int32),
+        triangle_color=np.concatenate(color).astype(np.uint8),
+        entities=entities,
+    )
+
+
+def _true_objects(T_map_home: SE3, placed: list[Placed]) -> list[TrueObject]:
+    counts: dict[str, int] = {}
+    names: dict[str, str] = {}
+    for p in placed:
+        counts[p.model.label] = counts.get(p.model.label, 0) + 1
+        names[p.id] = f"{p.model.label}_{counts[p.model.label]}"
+    home_yaw = float(np.arctan2(T_map_home.rotation[1, 0], T_map_home.rotation[0, 0]))
+    objects = []
+    for p in placed:
+        lower, upper = p.model.lower, p.model.upper
+        yaw = home_yaw + p.yaw
+        objects.append(
+            TrueObject(
+                id=names[p.id],
+                label=p.model.label,
+                vertices=T_map_home @ p.to_home(p.model.vertices),
+                triangles=p.model.triangles,
+                colors=p.model.colors,
+                center=(T_map_home @ p.to_home((lower + upper)[None] / 2))[0],
+                size=upper - lower,
+                rotation_wxyz=np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]),
+                yaw=yaw,
+                room=p.room,
+                support=names[p.support] if p.support else None,
+                container=p.model.label in CONTAINER_CLASSES,
+            )
+        )
+    return objects
+
+
+def _true_room(T_map_home: SE3, plan: FloorPlan, k: int) -> TrueRoom:
+    r = plan.rooms[k]
+    corners = np.array([[r.x0, r.y0, 0.0], [r.x1, r.y0, 0.0], [r.x1, r.y1, 0.0], [r.x0, r.y1, 0.0]])
+    return TrueRoom(r.id, r.kind, (T_map_home @ corners)[:, :2], 0.0, r.height)
+
+
+def _hole_frame(T_map_home: SE3, plan: FloorPlan, k: int, into_wall: float) -> tuple[Array, Array]:
+    hole = plan.holes[k]
+    owner, side = hole.rooms[0]
+    fixed, _, _ = plan.room(owner).wall(side)
+    inward = 1.0 if side in ("south", "west") else -1.0
+    along, z, across = (hole.start + hole.end) / 2, (hole.low + hole.high) / 2, fixed - inward * into_wall
+    flat = side in ("south", "north")
+    center = np.array([along, across, z] if flat else [across, along, z])
+    normal = np.array([0.0, inward, 0.0] if flat else [inward, 0.0, 0.0])
+    return (T_map_home @ center[None])[0], T_map_home.rotation @ normal
+
+
+def _true_doors(T_map_home: SE3, plan: FloorPlan) -> Iterator[TrueDoor]:
+    for k, hole in enumerate(plan.holes):
+        if hole.door is not None:
+            center, normal = _hole_frame(T_map_home, plan, k, WALL_M / 2)
+            rooms = tuple(owner for owner, _ in hole.rooms)
+            yield TrueDoor(hole.id, hole.door, rooms, center, hole.end - hole.start, hole.high - hole.low, normal)
+
+
+def _true_windows(T_map_home: SE3, plan: FloorPlan) -> Iterator[TrueWindow]:
+    for k, hole in enumerate(plan.holes):
+        if hole.kind == "window":
+            center, normal = _hole_frame(T_map_home, plan, k, 0.02)
+            yield TrueWindow(hole.id, hole.rooms[0][0], center, hole.end - hole.start, hole.high - hole.low, normal)
+
+
+def _plane_in_map(T: SE3, p: TruePlane) -> TruePlane:
+    return TruePlane(
+        p.id, p.kind, p.source, T @ p.polygon, tuple(T @ ring for ring in p.holes), T.rotation @ p.normal, p.area,
+        (T @ p.origin[None])[0], p.axes @ T.rotation.T, p.extent,
+    )  # fmt: skip
