@@ -1,1 +1,14 @@
+"""Hot loops: numba functions on plain arrays. Arrays that a kernel changes are said so ("in place") in its docstring.
 
+Parallel kernels share nothing between iterations, so that any number of threads gives the same result.
+"""
+
+from __future__ import annotations
+
+import os
+
+import numba
+
+if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
+    # TBB as distributions ship it is often too old for numba, which then warns at the first parallel call.
+    numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
