@@ -34,6 +34,8 @@ class CarmenDataset(Dataset):
     """
 
     format = "carmen"
+    title = "a CARMEN log"
+    signs = "*.clf"
     default_voxel_size_m = 0.1
     max_range_m = 30.0
 

@@ -31,6 +31,10 @@ class Dataset(ABC):
 
     format: ClassVar[str]
     """One word: `tum`, `pcd`, …"""
+    title: ClassVar[str]
+    """What to call such a recording in a sentence: `a TUM RGB-D folder`."""
+    signs: ClassVar[str]
+    """What it is known by."""
 
     default_voxel_size_m: float = 0.05
     max_range_m: float = 20.0

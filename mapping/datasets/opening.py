@@ -21,16 +21,6 @@ FORMATS: dict[str, type[Dataset]] = {
 }
 """Format → reader, in the order in which they are tried."""
 
-SIGNS = {
-    "recorded": "recording.json",
-    "tum": "depth.txt or associations.txt with groundtruth.txt",
-    "redwood": "depth/ with trajectory.log",
-    "3dtk": "scan000.3d, … with .frames or .pose",
-    "pcd": "*.pcd with VIEWPOINT",
-    "carmen": "*.clf",
-}
-"""What each format is known by."""
-
 
 def open_dataset(path: str | Path, *, format: str | None = None, **options: Any) -> Dataset:
     """The recording at `path`. `options` are those of its reader, e.g. `poses="odometry"` for 3DTK.
@@ -47,15 +37,15 @@ def open_dataset(path: str | Path, *, format: str | None = None, **options: Any)
         raise DatasetError(f"{path}: there is no such file or folder")
     candidates = FORMATS if format is None else {format: FORMATS[format]}
     incomplete = []
-    for name, reader in candidates.items():
+    for reader in candidates.values():
         missing = reader.missing(path)
         if missing == []:
             return _read(reader, path, options)
         if missing:
-            incomplete.append(f"looks like a {name} recording, but lacks {'; '.join(missing)}")
+            incomplete.append(f"looks like {reader.title}, but lacks {'; '.join(missing)}")
     if incomplete:
         raise DatasetError(f"{path}: {' / '.join(incomplete)}")
-    tried = "; ".join(f"{name} ({SIGNS[name]})" for name in candidates)
+    tried = "; ".join(f"{name} ({reader.signs})" for name, reader in candidates.items())
     raise DatasetError(f"{path}: not a recording that can be read; tried {tried}", hint=_inside(path, candidates))
 
 

@@ -221,6 +221,8 @@ class PcdDataset(Dataset):
     """
 
     format = "pcd"
+    title = "a folder of PCD scans"
+    signs = "*.pcd with VIEWPOINT"
     default_voxel_size_m = 0.1
     max_range_m = 20.0
 

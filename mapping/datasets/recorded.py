@@ -144,6 +144,8 @@ class RecordedDataset(Dataset):
     """
 
     format = "recorded"
+    title = "a recording of this program"
+    signs = "recording.json"
 
     def __init__(self, path: Path, *, partial: bool = False) -> None:
         super().__init__(path)

@@ -36,6 +36,8 @@ class RedwoodDataset(Dataset):
     """
 
     format = "redwood"
+    title = "a Redwood RGB-D folder"
+    signs = "depth/ with trajectory.log"
     default_voxel_size_m = 0.02
     max_range_m = 4.0
 

@@ -33,6 +33,8 @@ class ThreeDtkDataset(Dataset):
     """
 
     format = "3dtk"
+    title = "a folder of 3DTK scans"
+    signs = "scan000.3d, … with .frames or .pose"
     default_voxel_size_m = 0.05
     max_range_m = 20.0
 

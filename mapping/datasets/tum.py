@@ -44,6 +44,8 @@ class TumDataset(Dataset):
     """
 
     format = "tum"
+    title = "a TUM RGB-D folder"
+    signs = "depth.txt or associations.txt with groundtruth.txt"
     default_voxel_size_m = 0.02
     max_range_m = 4.0  # the noise of a Kinect grows with the square of depth: 3 cm at 4 m
 
