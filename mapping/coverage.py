@@ -119,16 +119,11 @@ class Coverage:
             ends[axis] += self._low[axis]
         return ends * self.cell_size_m
 
-    def covered(self, uv: Array) -> NDArray[np.bool_]:
-        """(N,) whether places (N, 2) [m] lie in a covered cell or beside one."""
-        mask = self._counts > 0
+    def near(self, uv: Array, reach_m: float) -> NDArray[np.bool_]:
+        """(N,) whether a covered cell lies within `reach_m` (along u and v, a cell at least) of places (N, 2) [m]."""
+        hit = np.empty(len(uv), dtype=np.bool_)
         cell = np.floor(uv / self.cell_size_m).astype(np.int64) - self._low
-        hit = np.zeros(len(uv), dtype=bool)
-        for du in (-1, 0, 1):
-            for dv in (-1, 0, 1):
-                u, v = cell[:, 0] + du, cell[:, 1] + dv
-                inside = (u >= 0) & (v >= 0) & (u < mask.shape[0]) & (v < mask.shape[1])
-                hit[inside] |= mask[u[inside], v[inside]]
+        kernels.covered_near(hit, self._counts, cell, max(1, round(reach_m / self.cell_size_m)))
         return hit
 
     def parts(self, reach_m: float) -> tuple[int, NDArray[np.int32], int]:
@@ -147,18 +142,9 @@ class Coverage:
         cell = (self._cells(points) - self._low) // stride
         return np.asarray(labels[cell[:, 0], cell[:, 1]])
 
-    def touches(self, points: Array, reach_m: float) -> bool:
-        """Whether one of the points (N, 3) [m] lies within about `reach_m` of a covered cell (along u and v)."""
-        n, labels, stride = self.parts(reach_m)
-        if n == 0:
-            return False
-        cell = (self._cells(points) - self._low) // stride + 1
-        near = ndimage.binary_dilation(np.pad(labels > 0, 1), structure=np.ones((3, 3)))
-        inside = ((cell >= 0) & (cell < near.shape)).all(axis=1)
-        return bool(near[cell[inside, 0], cell[inside, 1]].any())
-
-    def centres(self, stride: int = 1) -> Array:
-        """(N, 2) [m] centres of covered cells, thinned to one of `stride`² ."""
+    def centres(self, at_most: int) -> Array:
+        """(N, 2) [m] centres of covered cells, thinned to a coarser grid of some `at_most` cells."""
+        stride = max(1, int(np.ceil(np.sqrt(self.n_covered / at_most))))
         u, v = np.nonzero(self._counts[::stride, ::stride])
         return (np.stack([u, v], axis=1) * stride + self._low + 0.5) * self.cell_size_m
 

@@ -222,7 +222,12 @@ class PlaneMap:
 
     def samples(self, plane_id: int, at_most: int | None = None) -> Array:
         """Samples (N, 3) float32 [m] on a plane, evenly thinned to `at_most`."""
-        points = self._samples(self._slot_of_id[plane_id])[0]
+        slot = self._slot_of_id[plane_id]
+        keys = list(self._on[slot])
+        if at_most is not None and len(keys) > at_most:
+            keys = keys[:: len(keys) // at_most + 1]
+        blocks = [self._blocks[key] for key in keys]
+        points = np.concatenate([block.points[block.slot_of == slot] for block in blocks])
         if at_most is not None and len(points) > at_most:
             points = points[np.linspace(0, len(points) - 1, at_most).astype(np.int64)]
         return points
@@ -247,8 +252,21 @@ class PlaneMap:
             share = da[crossing] / (da[crossing] - db[crossing])
             at = a[crossing] + share[:, None] * (b[crossing] - a[crossing])
             coverage = self._covered(slot)
-            blocked[crossing] = coverage.covered(coverage.frame.project(at))
+            blocked[crossing] = coverage.near(coverage.frame.project(at), self.voxel_size_m)
         return blocked
+
+    def spread(self, plane_id: int, at_most: int) -> Array:
+        """Some `at_most` points (N, 3) [m] spread evenly over what is covered of a plane."""
+        slot = self._slot_of_id[plane_id]
+        coverage = self._covered(slot)
+        return coverage.frame.lift(coverage.centres(at_most), self._normal[slot], float(self._offset[slot]))
+
+    def near(self, plane_id: int, points: Array, reach_m: float, height_m: float) -> NDArray[np.bool_]:
+        """(N,) whether points (N, 3) [m] are within `height_m` of a plane and project to within `reach_m` of what is covered."""
+        slot = self._slot_of_id[plane_id]
+        coverage = self._covered(slot)
+        hit = coverage.near(coverage.frame.project(points), reach_m)
+        return np.asarray(hit & (np.abs(points @ self._normal[slot] - self._offset[slot]) <= height_m))
 
     # -- change -------------------------------------------------------------------------------------------
     def update(self, surface: Surface, changed_blocks: Any) -> PlaneChange:
@@ -500,9 +518,9 @@ class PlaneMap:
                 continue
             large, small = (a, b) if self._moments[a, 0] >= self._moments[b, 0] else (b, a)
             frame = self._covered(small).frame
-            stride = max(1, round(0.1 / self.voxel_size_m))
-            cells = self._covered(small).centres(stride)
-            if not self._covered(large).touches(frame.lift(cells, self._normal[small], self._offset[small]), _REACH_M):
+            cells = frame.lift(self._covered(small).centres(400), self._normal[small], self._offset[small])
+            rim = self._covered(large)
+            if not rim.near(rim.frame.project(cells), 1.5 * _REACH_M).any():
                 continue
             ids = sorted(int(i) for i in self._id[[large, small]] if i >= 0)
             self._move(small, large)

@@ -318,6 +318,21 @@ def cover(counts, rows, columns, cell, sign):
 
 
 @njit(cache=True)
+def covered_near(hit, counts, cell, reach):
+    """Whether a covered cell lies within `reach` cells (along u and v) of each cell (N, 2) int64; hit (N,) bool, in place."""
+    width, height = counts.shape
+    for i in range(len(cell)):
+        hit[i] = False
+        for u in range(max(0, cell[i, 0] - reach), min(width, cell[i, 0] + reach + 1)):
+            for v in range(max(0, cell[i, 1] - reach), min(height, cell[i, 1] + reach + 1)):
+                if counts[u, v] > 0:
+                    hit[i] = True
+                    break
+            if hit[i]:
+                break
+
+
+@njit(cache=True)
 def trace(mask, corners, ring_end):
     """The borders of the covered cells as rings of grid corners, in place; returns how many rings.
 

@@ -1,0 +1,1 @@
+"""Changed voxels → changes of the graph: structure, objects, rooms, relations."""

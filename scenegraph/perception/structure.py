@@ -1,0 +1,385 @@
+"""Planes → structure: which planes are walls, floors, ceilings and door leaves, and the nodes that say so.
+
+Relations between planes are measured here; what they mean is a rule (`rules/structure.pl`). Only planes that changed
+noticeably are measured anew, and only they and their neighbours are labelled anew, the planes about them serving as settled context.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from mapping.geometry import SE3
+from mapping.planes import Plane, PlaneChange, PlaneMap
+from reasoning.knowledge import KnowledgeBase
+from reasoning.terms import Atom, Compound, Term, Var
+from scenegraph.graph import Box, GraphChanges, Node
+
+Array: TypeAlias = NDArray[Any]
+Relation: TypeAlias = tuple[str, int, int]
+
+NO_FEATURE: Final = "no_feature"
+
+
+@dataclass(frozen=True)
+class PlaneFacts:
+    """What the rules know of one plane; lengths in metres.
+
+    facing   : up | down | side | oblique
+    evidence : class → share of the plane's surface that carries it
+    given    : the label of a plane that only serves as context, else None
+    """
+
+    id: int
+    facing: str
+    z_min: float
+    z_max: float
+    width_m: float
+    area_m2: float
+    evidence: Mapping[str, float] = field(default_factory=dict)
+    given: str | None = None
+
+
+Labeller: TypeAlias = Callable[[Sequence[PlaneFacts], Sequence[Relation]], Mapping[int, str]]
+"""Planes and relations (name, id, id) → a label for every plane."""
+Evidence: TypeAlias = Callable[[Array], Mapping[str, float]]
+"""Points (N, 3) [m] on a plane → class → share of the points that carry it; what carries no label is left out."""
+
+
+def no_evidence(_: Array) -> Mapping[str, float]:
+    """For maps without labels."""
+    return {}
+
+
+def rules_labeller(knowledge: KnowledgeBase, *, timeout_s: float = 5.0) -> Labeller:
+    """Labels by the rules: `label_planes/3` of `rules/structure.pl`, asked of a knowledge base."""
+
+    def label(planes: Sequence[PlaneFacts], relations: Sequence[Relation]) -> dict[int, str]:
+        goal = Compound(
+            "label_planes",
+            (
+                [_plane_term(plane) for plane in planes],
+                [Compound("relation", (Atom(name), a, b)) for name, a, b in relations],
+                Var("Labels"),
+            ),
+        )
+        answer = knowledge.call(goal, timeout_s=timeout_s)[0]["Labels"]
+        return {int(pair.args[0]): pair.args[1].name for pair in answer}  # type: ignore[union-attr]
+
+    return label
+
+
+def _plane_term(plane: PlaneFacts) -> Compound:
+    evidence: Term = [Compound("-", (Atom(name), float(share))) for name, share in sorted(plane.evidence.items())]
+    if plane.given is not None:
+        evidence = Compound("given", (Atom(plane.given),))
+    measures = (plane.z_min, plane.z_max, plane.width_m, plane.area_m2)
+    return Compound("plane", (plane.id, Atom(plane.facing), *map(float, measures), evidence))
+
+
+# -- measuring ---------------------------------------------------------------------------------------------------
+
+_LEVEL = float(np.cos(np.deg2rad(15.0)))  # a normal this close to the vertical: level
+_UPRIGHT = float(np.sin(np.deg2rad(15.0)))
+_PARALLEL = float(np.cos(np.deg2rad(12.0)))
+_ORTHOGONAL = float(np.sin(np.deg2rad(12.0)))
+_EQUAL_M = 0.1  # heights this close are equal
+_STOREY_M = 2.3  # floors (ceilings) further apart than this belong to different storeys
+_BESIDE_M = 0.4  # a wall stands this close to the border of its floor and ceiling
+_FRONT_M = 1.0  # furniture stands this close to the wall behind it
+_TALLEST_ROOM_M = 6.0
+
+
+def facing(normal: Array) -> str:
+    """Where a plane faces: up, down, side or oblique."""
+    z = float(normal[2])
+    if abs(z) >= _LEVEL:
+        return "up" if z > 0.0 else "down"
+    return "side" if abs(z) <= _UPRIGHT else "oblique"
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """A plane as it was when it was last measured."""
+
+    facts: PlaneFacts
+    normal: Array
+    offset: float
+    low: Array
+    high: Array
+    points: Array
+
+    @property
+    def height(self) -> float:
+        return 0.5 * (self.facts.z_min + self.facts.z_max)
+
+
+def relations_between(a: _Seen, b: _Seen, planes: PlaneMap) -> list[Relation]:
+    """What the rules may know of two planes: parallel, orthogonal, equalheight, above (the first over the second).
+
+    Level planes relate when one covers ground beside the other's, within a storey; a level and an upright plane when
+    the upright one stands within `_BESIDE_M` of it; upright planes when they touch or one stands before the other.
+    """
+    upright = (a.facts.facing == "side") + (b.facts.facing == "side")
+    if "oblique" in (a.facts.facing, b.facts.facing):
+        return []
+    if upright == 0:
+        return _level_relations(a, b, planes)
+    if upright == 2:
+        return _upright_relations(a, b, planes)
+    return _standing_relations(a, b, planes) if b.facts.facing == "side" else _standing_relations(b, a, planes)
+
+
+def _level_relations(a: _Seen, b: _Seen, planes: PlaneMap) -> list[Relation]:
+    small, large = (a, b) if a.facts.area_m2 < b.facts.area_m2 else (b, a)
+    reach = _BESIDE_M
+    if not planes.near(large.facts.id, small.points, reach, _TALLEST_ROOM_M).any():
+        return []
+    pair = (a.facts.id, b.facts.id)
+    found: list[Relation] = [("parallel", *pair)]
+    rise = a.height - b.height
+    upper, lower = (a, b) if rise > 0.0 else (b, a)
+    alike = a.facts.facing == b.facts.facing
+    if abs(rise) <= _EQUAL_M:
+        return [*found, ("equalheight", *pair)] if alike else []
+    if (alike and abs(rise) < _STOREY_M) or (upper.facts.facing == "down" and lower.facts.facing == "up"):
+        return [*found, ("above", upper.facts.id, lower.facts.id)]
+    return []
+
+
+def _standing_relations(level: _Seen, upright: _Seen, planes: PlaneMap) -> list[Relation]:
+    near = planes.near(level.facts.id, upright.points + 0.1 * upright.normal, _BESIDE_M, _TALLEST_ROOM_M)
+    if np.count_nonzero(near) < 0.3 * len(near):
+        return []
+    found: list[Relation] = [("orthogonal", level.facts.id, upright.facts.id)]
+    middle = 0.5 * (upright.facts.z_min + upright.facts.z_max)
+    if level.facts.facing == "down" and level.height > middle:
+        found.append(("above", level.facts.id, upright.facts.id))
+    elif level.facts.facing == "up" and level.height < middle:
+        found.append(("above", upright.facts.id, level.facts.id))
+    else:
+        return []
+    return found
+
+
+def _upright_relations(a: _Seen, b: _Seen, planes: PlaneMap) -> list[Relation]:
+    small, large = (a, b) if a.facts.area_m2 < b.facts.area_m2 else (b, a)
+    pair = (a.facts.id, b.facts.id)
+    cosine = abs(float(a.normal @ b.normal))
+    if cosine >= _PARALLEL:
+        before = planes.near(large.facts.id, small.points, _BESIDE_M, _FRONT_M).any()
+        return [("parallel", *pair)] if before else []
+    if not planes.near(large.facts.id, small.points, _BESIDE_M, _BESIDE_M).any():
+        return []
+    found: list[Relation] = [("orthogonal", *pair)] if cosine <= _ORTHOGONAL else []
+    if found and abs(a.facts.z_max - b.facts.z_max) <= _EQUAL_M:
+        found.append(("equalheight", *pair))
+    return found
+
+
+# -- keeping up to date --------------------------------------------------------------------------------------------
+
+
+class Structure:
+    """The structure nodes of the graph, kept up to date with a `PlaneMap`.
+
+    noticeable  : relative change of area, extent or evidence that makes a plane be looked at again
+    refresh_ns  : `last_seen_ns` of a plane that stays as it is follows in steps of this [ns]
+    """
+
+    def __init__(self, *, noticeable: float = 0.1, refresh_ns: int = 5_000_000_000) -> None:
+        self.noticeable = noticeable
+        self.refresh_ns = refresh_ns
+        self._seen: dict[int, _Seen] = {}
+        self._label: dict[int, str] = {}
+        self._node: dict[int, Node] = {}
+        self._between: dict[int, dict[int, list[Relation]]] = {}
+        self._unsettled: set[int] = set()
+
+    @property
+    def labels(self) -> dict[int, str]:
+        """Plane id → label."""
+        return dict(self._label)
+
+    def ids(self, *labels: str) -> list[int]:
+        """Ids of the planes with one of these labels, ascending."""
+        return sorted(i for i, label in self._label.items() if label in labels)
+
+    def update(
+        self, planes: PlaneMap, change: PlaneChange, evidence: Evidence, label: Labeller, stamp_ns: int
+    ) -> GraphChanges:
+        """Measure and label what changed; returns the changes of the structure nodes `plane_<id>`."""
+        changes = GraphChanges()
+        active = {i for i in self._unsettled if i in self._seen}
+        for plane_id in change.deleted:
+            active |= self._forget(plane_id, change.merged.get(plane_id), changes)
+        active -= set(change.deleted)
+        noticed = self._notice(planes, change.changed, evidence)
+        for plane_id in noticed:
+            self._relate(plane_id, planes)
+        active |= set(noticed)
+        flipped = self._relabel(active, label) if active else set()
+        self._unsettled = flipped - set(noticed)
+        for plane_id in sorted({*noticed, *flipped}):
+            self._put(planes.plane(plane_id), plane_id in change.changed, stamp_ns, changes)
+        for plane_id in set(change.changed) - set(noticed) - flipped:
+            node = self._node[plane_id]
+            if stamp_ns - node.last_seen_ns >= self.refresh_ns:
+                self._node[plane_id] = node = node.replace(last_seen_ns=stamp_ns)
+                changes.put(node)
+        return changes
+
+    # -- steps --------------------------------------------------------------------------------------------
+    def _forget(self, plane_id: int, became: int | None, changes: GraphChanges) -> set[int]:
+        """Drop a plane; returns its neighbours."""
+        if plane_id not in self._seen:
+            return set()
+        neighbours = set(self._between.pop(plane_id, {}))
+        for other in neighbours:
+            self._between[other].pop(plane_id, None)
+        del self._seen[plane_id], self._label[plane_id], self._node[plane_id]
+        reason = "its surface is no longer there" if became is None else "found to be one plane"
+        changes.delete_node(f"plane_{plane_id}", reason, None if became is None else f"plane_{became}")
+        return neighbours
+
+    def _notice(self, planes: PlaneMap, ids: Iterable[int], evidence: Evidence) -> list[int]:
+        """Measure the planes `ids`; returns those that changed noticeably, which are kept as they are now."""
+        noticed = []
+        summary = planes.summary(ids)
+        for k, plane_id in enumerate(summary.ids.tolist()):
+            low, high = summary.low[k], summary.high[k]
+            facts = PlaneFacts(
+                id=plane_id,
+                facing=facing(summary.normal[k]),
+                z_min=float(low[2]),
+                z_max=float(high[2]),
+                width_m=float(summary.width_m[k]),
+                area_m2=float(summary.area_m2[k]),
+                evidence=dict(evidence(planes.samples(plane_id, 300))),
+            )
+            old = self._seen.get(plane_id)
+            if old is not None and not self._differs(old.facts, facts):
+                continue
+            points = planes.spread(plane_id, 100)
+            self._seen[plane_id] = _Seen(facts, summary.normal[k], float(summary.offset[k]), low, high, points)
+            noticed.append(plane_id)
+        return noticed
+
+    def _differs(self, old: PlaneFacts, new: PlaneFacts) -> bool:
+        if old.facing != new.facing:
+            return True
+        share = self.noticeable
+        if abs(new.area_m2 - old.area_m2) > share * old.area_m2:
+            return True
+        length = max(0.05, share * max(old.width_m, old.z_max - old.z_min))
+        if max(abs(new.z_min - old.z_min), abs(new.z_max - old.z_max), abs(new.width_m - old.width_m)) > length:
+            return True
+        classes = old.evidence.keys() | new.evidence.keys()
+        return any(abs(old.evidence.get(c, 0.0) - new.evidence.get(c, 0.0)) > share for c in classes)
+
+    def _relate(self, plane_id: int, planes: PlaneMap) -> None:
+        """Measure the relations of a plane to all about it."""
+        for other in self._between.pop(plane_id, {}):
+            self._between[other].pop(plane_id, None)
+        mine: dict[int, list[Relation]] = {}
+        self._between[plane_id] = mine
+        a = self._seen[plane_id]
+        for other in self._about(a):
+            if other == plane_id or other not in planes:
+                continue
+            found = relations_between(a, self._seen[other], planes)
+            if found:
+                mine[other] = found
+                self._between.setdefault(other, {})[plane_id] = found
+
+    def _about(self, a: _Seen) -> list[int]:
+        """Ids of the planes whose boxes come within reach of a plane's."""
+        ids = list(self._seen)
+        low = np.array([self._seen[i].low for i in ids])
+        high = np.array([self._seen[i].high for i in ids])
+        reach = np.array([_FRONT_M, _FRONT_M, _TALLEST_ROOM_M])
+        near = ((low <= a.high + reach) & (high >= a.low - reach)).all(axis=1)
+        return [ids[k] for k in np.flatnonzero(near)]
+
+    def _relabel(self, active: set[int], label: Labeller) -> set[int]:
+        """Label the active planes and their neighbours anew; returns those whose label changed or is new."""
+        free = set(active)
+        for plane_id in active:
+            free.update(o for o in self._between.get(plane_id, {}) if len(self._between[o]) <= _HUB or o not in self._label)
+        context = {o for i in free for o in self._between.get(i, {})} - free
+        facts = [self._seen[i].facts for i in sorted(free)]
+        for i in sorted(context):
+            known = self._seen[i].facts
+            facts.append(
+                PlaneFacts(known.id, known.facing, known.z_min, known.z_max, known.width_m, known.area_m2, {}, self._label[i])
+            )
+        relations = [
+            relation
+            for i in sorted(free)
+            for other, found in sorted(self._between.get(i, {}).items())
+            if other not in free or i < other
+            for relation in found
+        ]
+        labels = label(facts, relations)
+        flipped = set()
+        for i in free:
+            if self._label.get(i) != labels[i]:
+                flipped.add(i)
+                self._label[i] = labels[i]
+        return flipped
+
+    def _put(self, plane: Plane, seen_now: bool, stamp_ns: int, changes: GraphChanges) -> None:
+        old = self._node.get(plane.id)
+        seen = stamp_ns if seen_now or old is None else old.last_seen_ns
+        box = plane_box(plane)
+        node = Node(
+            id=f"plane_{plane.id}",
+            layer="structure",
+            label=self._label[plane.id],
+            position=box.center,
+            box=box,
+            confidence=float(1.0 - 0.5 * np.exp(-plane.area_m2)),
+            first_seen_ns=seen if old is None else old.first_seen_ns,
+            last_seen_ns=seen,
+            attributes={
+                "normal": np.round(plane.normal, 4),
+                "offset": round(plane.offset, 4),
+                "area_m2": round(plane.area_m2, 3),
+                "polygon": [np.round(ring, 3) for ring in plane.rings],
+            },
+        )
+        self._node[plane.id] = node
+        changes.put(node)
+
+
+_HUB = 24
+"""A neighbour with more relations than this (the floor of a storey) is labelled anew only when it changes itself."""
+
+
+def plane_box(plane: Plane) -> Box:
+    """The box about a plane: z up, x along the plane's horizontal, turned about z so that it is smallest for level planes."""
+    size = plane.box_size
+    u, n = plane.box_axes[:, 0], plane.box_axes[:, 2]
+    if abs(n[2]) < 0.5:
+        rotation = np.stack([u, -n, plane.box_axes[:, 1]], axis=1)
+        return Box(
+            center=plane.box_center,
+            size=np.array([size[0], size[2], size[1]]),
+            rotation_wxyz=SE3(rotation, np.zeros(3)).quaternion_wxyz,
+        )
+    ring = np.concatenate(plane.rings)
+    corners = shapely.get_coordinates(shapely.oriented_envelope(shapely.MultiPoint(ring[:, :2])))
+    along, across = corners[1] - corners[0], corners[2] - corners[1]
+    length, width = float(np.hypot(*along)), float(np.hypot(*across))
+    yaw = float(np.arctan2(along[1], along[0]))
+    low, high = ring[:, 2].min(), ring[:, 2].max()
+    return Box(
+        center=np.array([*(0.5 * (corners[0] + corners[2])), 0.5 * (low + high)]),
+        size=np.array([length, width, max(high - low, size[2])]),
+        rotation_wxyz=np.array([np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)]),
+    )
