@@ -37,7 +37,7 @@ class OccupancyMap(MapLayer):
 
     Each scan updates a voxel at most once, and a hit outranks a miss. A voxel's byte counts log-odds in steps of
     `log_odds_step`, chosen so that hit and miss are whole numbers of steps (to within 0.5 % for the defaults) and the
-    clamps fit; −128 is *unknown*. Occupied means probability > ½. Raises `InvalidParameter` on bad values.
+    clamps fit; −128 is *unknown*. Occupied means probability ≥ ½. Raises `InvalidParameter` on bad values.
     """
 
     kind: ClassVar[str] = "occupancy"
@@ -60,7 +60,7 @@ class OccupancyMap(MapLayer):
             require(name, value, 0.0, 0.4999)
         self.miss, self.lowest = float(miss), float(lowest)
         self.log_odds_step = self._choose_step()
-        self._hit, self._miss, self._lowest, self._highest = (
+        self._hit, self._miss, self.lowest_evidence, self.highest_evidence = (
             round(_log_odds(p) / self.log_odds_step) for p in (hit, miss, lowest, highest)
         )
         self.store = BlockStore({"evidence": np.int8}, voxel_size_m, fill={"evidence": occupancy.UNKNOWN})
@@ -152,7 +152,9 @@ class OccupancyMap(MapLayer):
         slots = self.store.allocate(blocks)
         changed = np.empty(len(slots), np.bool_)
         evidence = self.store.fields["evidence"]
-        occupancy.fold_marks(evidence, slots, rows, marks, self._hit, self._miss, self._lowest, self._highest, changed)
+        occupancy.fold_marks(
+            evidence, slots, rows, marks, self._hit, self._miss, self.lowest_evidence, self.highest_evidence, changed
+        )
         return self._note(slots[changed])
 
     # -- questions ----------------------------------------------------------------------------------------
@@ -184,12 +186,12 @@ class OccupancyMap(MapLayer):
 
     def occupied_centres(self) -> NDArray[np.float64]:
         """Centres (N, 3) [m] of the occupied voxels."""
-        return self._centres(self.store.used("evidence") > 0)
+        return self._centres(self.store.used("evidence") >= 0)
 
     def free_centres(self) -> NDArray[np.float64]:
         """Centres (N, 3) [m] of the voxels known to be free."""
         values = self.store.used("evidence")
-        return self._centres((values <= 0) & (values != occupancy.UNKNOWN))
+        return self._centres((values < 0) & (values != occupancy.UNKNOWN))
 
     def write(self, path: str | Path) -> None:
         """Write an OctoMap `.bt` file; see `mapping.octomap`."""
@@ -210,7 +212,7 @@ class OccupancyMap(MapLayer):
 
 
 def _classes(values: NDArray[np.int8]) -> NDArray[np.int8]:
-    classes = (values > 0).astype(np.int8)
+    classes = (values >= 0).astype(np.int8)
     classes[values == occupancy.UNKNOWN] = UNKNOWN
     return classes
 

@@ -6,9 +6,11 @@ Parallel kernels share nothing between iterations, so that any number of threads
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import numba
 
 if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
     # TBB as distributions ship it is often too old for numba, which then warns at the first parallel call.
-    numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
+    _config: Any = numba.config
+    _config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
