@@ -136,10 +136,15 @@ def _quaternion(given: Any) -> NDArray[np.float64]:
     return array
 
 
+_PLAIN_TYPES = frozenset({type(None), bool, int, str})
+
+
 def _plain(value: Any, path: str) -> Any:
     """A copy of `value` made of JSON's types only; numpy arrays and numbers become lists and numbers."""
-    if value is None or isinstance(value, str | bool):
+    if type(value) in _PLAIN_TYPES:
         return value
+    if isinstance(value, str):
+        return str(value)
     if isinstance(value, int):
         return int(value)
     if isinstance(value, float):
@@ -148,7 +153,7 @@ def _plain(value: Any, path: str) -> Any:
         return float(value)
     if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist(), path)
-    if isinstance(value, Mapping):
+    if isinstance(value, dict | Mapping):
         for key in value:
             if not isinstance(key, str):
                 raise ValueError(f"{path}: expected names as keys, got {shown(key)}")
@@ -161,7 +166,7 @@ def _plain(value: Any, path: str) -> Any:
 def _attributes(given: Any) -> Attributes:
     if type(given) is Attributes:
         return given
-    if not isinstance(given, Mapping):
+    if not isinstance(given, dict | Mapping):
         raise ValueError(f"expected a mapping from names to values, got {shown(given)}")
     return Attributes(_plain(given, "attributes"))
 
