@@ -89,14 +89,15 @@ class Engine:
                 raise EngineUnavailable("the engine was closed")
             if self._process.poll() is not None:
                 self._restart()
-            try:
-                return self._exchange(command, payload, timeout_s)
-            except TimeoutError:
-                self._restart()
-                return problem("timeout", "the goal did not end in the time it was given and had to be broken off")
-            except (EOFError, BrokenPipeError):
-                self._restart()
-                return problem("resource_limit", "the goal used up the engine's memory; the engine was started anew")
+            for _ in range(2):  # a worker that died may have been killed from outside: the next one shows
+                try:
+                    return self._exchange(command, payload, timeout_s)
+                except TimeoutError:
+                    self._restart()
+                    return problem("timeout", "the goal did not end in the time it was given and had to be broken off")
+                except (EOFError, BrokenPipeError):
+                    self._restart()
+            return problem("resource_limit", "the goal used up the engine's memory twice; the engine was started anew")
 
     def close(self) -> None:
         """End the worker. Closing twice does nothing."""

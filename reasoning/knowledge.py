@@ -253,9 +253,13 @@ class KnowledgeBase:
         stored derived edges at these ids that are not among them no longer hold.
         """
         things: list[Any] = [Atom(node) for node in ids]
-        goal = Compound("affected_edges", (things, Var("Ids"), Var("Edges")))
+        goal = Compound("affected_edges", (things, Var("Ids"), Var("Pairs")))
         [answer] = self.call(goal, timeout_s=30.0)
-        edges = [DerivedEdge(*_edge_fields(edge.args)) for edge in cast(list[Compound], answer["Edges"])]
+        edges = []
+        for pair in cast(list[Any], answer["Pairs"]):
+            relation, inverse, a, b, value, threshold, confidence = pair.args
+            edges.append(DerivedEdge(relation.name, a.name, b.name, value, threshold, confidence))
+            edges.append(DerivedEdge(inverse.name, b.name, a.name, value, threshold, confidence))
         return [atom.name for atom in cast(list[Atom], answer["Ids"])], edges
 
     def phrase(self, text: str) -> Phrase:
@@ -300,11 +304,6 @@ def _viewer(viewer: Viewer) -> Term:
         return Atom(viewer)
     x, y, z = viewer
     return Compound("point", (float(x), float(y), float(z)))
-
-
-def _edge_fields(fields: tuple[Term, ...]) -> tuple[str, str, str, float, float, float]:
-    relation, source, target, value, threshold, confidence = cast(tuple[Any, ...], fields)
-    return relation.name, source.name, target.name, value, threshold, confidence
 
 
 def _test(term: Term) -> Test:

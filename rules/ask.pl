@@ -31,14 +31,14 @@ ask(Text, options(Limit, Seconds, Inferences, Explain, Viewer), Reply) :-
     set_viewer(Viewer),
     get_time(Start),
     Deadline is Start+Seconds,
-    catch(read_goal(Text, Goal, Bindings), Error, true),
+    catch(read_goal(Text, Goal, Bindings, AllNames), Error, true),
     (   nonvar(Error)
     ->  problem_of(Error, Problem),
         Reply = reply(unknown, [], [], false, Problem, [])
     ;   maplist(binding, Bindings, Names, Row),
         answers(Goal, Row, Limit, Deadline, Inferences, Rows, Truncated, Problem),
         truth(Goal, Rows, Deadline, Inferences, Problem, Truth, LastProblem),
-        explanations(Explain, Goal, Bindings, Rows, Truth, LastProblem, Deadline, Inferences, Explanations),
+        explanations(Explain, Goal, Bindings-AllNames, Rows, Truth, LastProblem, Deadline, Inferences, Explanations),
         Reply = reply(Truth, Names, Rows, Truncated, LastProblem, Explanations)
     ).
 

@@ -1,5 +1,5 @@
 :- module(explain,
-          [ explain/5                   % +Goal, +Bindings, +Rows, +Truth, -Explanations
+          [ explain/5                   % +Goal, +Names, +Rows, +Truth, -Explanations
           ]).
 :- use_module(library(lists)).
 :- use_module(library(apply)).
@@ -29,24 +29,27 @@ explained_answers(3).
 candidates_shown(3).
 candidates_weighed(200).
 
-%!  explain(+Goal, +Bindings, +Rows, +Truth, -Explanations:list) is det.
+%!  explain(+Goal, +Names, +Rows, +Truth, -Explanations:list) is det.
+%
+%   Names is Bindings-All: the variables that an answer in Rows binds, in its
+%   order, and all.
 
-explain(Goal, Bindings, Rows, true, Explanations) :-
+explain(Goal, Bindings-Names, Rows, true, Explanations) :-
     !,
     explained_answers(Most),
     findall(because(Text, true, "", [], [], Children),
             ( nth1(Index, Rows, Row),
               Index =< Most,
-              copy_term(Goal-Bindings, Copy-Bound),
+              copy_term(Goal-Bindings-Names, Copy-Bound-CopiedNames),
               maplist(bind, Bound, Row),
               answer_text(Bindings, Row, Text),
-              once(proof(Copy, Bindings, true, Children, [])) ),
+              once(proof(Copy, CopiedNames, true, Children, [])) ),
             Explanations).
-explain(Goal, Bindings, _, unknown, [because("what is asked", unknown, "", [], [], Children)]) :-
-    once(proof(Goal, Bindings, unknown, Children, [])),
+explain(Goal, _-Names, _, unknown, [because("what is asked", unknown, "", [], [], Children)]) :-
+    once(proof(Goal, Names, unknown, Children, [])),
     !.
-explain(Goal, Bindings, _, Truth, [because("what is asked", Truth, "", [], [], [Child])]) :-
-    why_not(Goal, Bindings, Child),
+explain(Goal, _-Names, _, Truth, [because("what is asked", Truth, "", [], [], [Child])]) :-
+    why_not(Goal, Names, Child),
     !.
 explain(_, _, _, _, []).
 
@@ -277,14 +280,20 @@ first_failure([Part|Parts], Before, Prefix, Failing) :-
 failure(literal(Call, Hidden, _), Before, Names, because(Text, false, Rule, [], Evidence, Children)) :- !,
     source_text(Call, Hidden, Names, Text),
     rule_text(Call, Rule),
-    missing_classes(Hidden, Evidence),
+    missing_classes(Hidden, Missing),
     candidates_weighed(Most),
     findall(Distance-Child,
             limit(Most, ( call(Before), candidate(Call, Hidden, Names, Distance, Child) )),
             Children0),
     sort(Children0, Children1),
     candidates_shown(Shown),
-    findall(C, ( nth1(I, Children1, _-C), I =< Shown ), Children).
+    findall(C, ( nth1(I, Children1, _-C), I =< Shown ), Children),
+    (   Missing == [],
+        Children == [],
+        spatial_call(Call, Relation, _, _)
+    ->  Evidence = [no_measured_pair(Relation)]
+    ;   Evidence = Missing
+    ).
 failure(Part, _, Names, because(Text, false, Rule, [], [], [])) :-
     goal_text(Part, Names, Text),
     ( Part = not(_) -> Rule = "it holds of a candidate"

@@ -83,6 +83,19 @@ mutual(Name, A, B, Value) :-
     ;   call(Predicate, B, A, Value)
     ).
 
+%   Where the name of a measurement stands in a rule, it is looked up when the rule is compiled.
+:- multifile user:goal_expansion/2.
+:- dynamic user:goal_expansion/2.
+
+user:goal_expansion(measured(Name, Id, Value), facts:Goal) :-
+    atom(Name),
+    facts:store(Name, 3, Predicate),
+    Goal =.. [Predicate, Id, Value].
+user:goal_expansion(measured(Name, A, B, Value), facts:Goal) :-
+    atom(Name),
+    facts:store(Name, 4, Predicate),
+    Goal =.. [Predicate, A, B, Value].
+
 %!  edge(?Relation, ?A, ?B, ?Value, ?Threshold, ?Confidence) is nondet.
 %
 %   True when the graph stores this edge and no rule derives it (what rooms

@@ -1,5 +1,5 @@
 :- module(goals,
-          [ read_goal/3,                % +Text, -Goal, -Bindings
+          [ read_goal/4,                % +Text, -Goal, -Bindings, -Names
             readings/3,                 % +Goal, -Certain, -Possible
             visible_variables/2,        % +Goal, -Variables
             nearest/3,                  % +Name, +Candidates, -Nearest
@@ -17,7 +17,7 @@
 
 /** <module> From the text of a question to two goals that may be run
 
-read_goal/3 checks a question against the vocabulary and turns it into a tree:
+read_goal/4 checks a question against the vocabulary and turns it into a tree:
 
   * literal(Call, Hidden, Visible): a word of the vocabulary; Hidden is a list of
     Variable-Class for the class names that stood in it
@@ -36,13 +36,14 @@ possible; negation swaps the two.
 
 longest_goal(20_000).
 
-%!  read_goal(+Text:string, -Goal, -Bindings) is det.
+%!  read_goal(+Text:string, -Goal, -Bindings, -Names) is det.
 %
-%   Bindings is a list of Name=Variable for the visible variables.
+%   Names is a list of Name=Variable for all variables, Bindings that for the
+%   ones that an answer binds.
 %
 %   @error problem(Code, Message, Hint) and syntax errors
 
-read_goal(Text, Goal, Bindings) :-
+read_goal(Text, Goal, Bindings, All) :-
     string_length(Text, Length),
     longest_goal(Longest),
     (   Length =< Longest
@@ -324,13 +325,32 @@ nearest(Name, Candidates, Nearest) :-
     sort(1, @>=, Scored, Sorted),
     findall(C, ( nth1(I, Sorted, _-C), I =< 3 ), Nearest).
 
-likeness(Name, Candidate, Likeness) :-
-    dwim_match(Name, Candidate),
-    !,
-    Likeness = 1.
+likeness(Name, Candidate, 1) :-
+    one_edit(Name, Candidate),
+    !.
 likeness(Name, Candidate, Likeness) :-
     isub(Name, Candidate, Likeness, [normalize(true), zero_to_one(true)]),
     Likeness > 0.6.
+
+%   one_edit(+A, +B): a letter is missing, too many, another, or two are exchanged.
+one_edit(A, B) :-
+    atom_length(A, LA),
+    atom_length(B, LB),
+    abs(LA-LB) =< 1,
+    atom_codes(A, As),
+    atom_codes(B, Bs),
+    same_start(As, Bs, RestA, RestB),
+    (   RestA = [_|Same], RestB = [_|Same]
+    ;   RestA = [_|RestB]
+    ;   RestB = [_|RestA]
+    ;   RestA = [X,Y|Same], RestB = [Y,X|Same]
+    ),
+    !.
+
+same_start([X|As], [X|Bs], RestA, RestB) :-
+    !,
+    same_start(As, Bs, RestA, RestB).
+same_start(As, Bs, As, Bs).
 
 refuse(Term) :-
     functor(Term, Name, Arity),

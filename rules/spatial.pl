@@ -462,29 +462,32 @@ footing_certainty(_, _, Confidence, Confidence).
 %!  derived_edges_of(+Ids:list, -Edges:list) is det.
 %
 %   Edges is every derived edge, as edge(Relation, A, B, Value, Threshold,
-%   Confidence), that begins or ends at one of Ids, without duplicates.
+%   Confidence), that begins or ends at one of Ids, in both directions and
+%   without duplicates.
 
 derived_edges_of(Ids, Edges) :-
-    findall(Edge,
-            ( member(Id, Ids),
-              edge_at(Id, Relation, A, B, Value, Threshold, Confidence),
-              both_ways(Relation, A, B, Value, Threshold, Confidence, Edge) ),
-            Edges0),
+    canonical_edges_of(Ids, Canonical),
+    findall(Edge, ( member(Pair, Canonical), either_direction(Pair, Edge) ), Edges0),
     sort(Edges0, Edges).
 
-edge_at(Id, Relation, Id, B, Value, Threshold, Confidence) :-
-    canonical(Relation),
+either_direction(pair(Relation, _, A, B, V, T, C), edge(Relation, A, B, V, T, C)).
+either_direction(pair(_, Inverse, A, B, V, T, C), edge(Inverse, B, A, V, T, C)).
+
+%   canonical_edges_of(+Ids, -Pairs): each pair once, as pair(Relation, Inverse, A, B, Value, Threshold, Confidence).
+canonical_edges_of(Ids, Pairs) :-
+    findall(Pair, ( member(Id, Ids), pair_at(Id, Pair) ), Pairs0),
+    sort(Pairs0, Pairs).
+
+pair_at(Id, pair(Relation, Inverse, Id, B, Value, Threshold, Confidence)) :-
+    inverse(Relation, Inverse),
     canonical_edge(Relation, Id, B, Value, Threshold, Confidence).
-edge_at(Id, Relation, A, Id, Value, Threshold, Confidence) :-
-    inverse(Relation, _),
+pair_at(Id, pair(Relation, Inverse, A, Id, Value, Threshold, Confidence)) :-
+    inverse(Relation, Inverse),
     canonical_edge(Relation, A, Id, Value, Threshold, Confidence).
-
-canonical(Relation) :- inverse(Relation, _).
-canonical(Relation) :- symmetric(Relation).
-
-both_ways(Relation, A, B, Value, Threshold, Confidence, edge(Relation, A, B, Value, Threshold, Confidence)).
-both_ways(Relation, A, B, Value, Threshold, Confidence, edge(Inverse, B, A, Value, Threshold, Confidence)) :-
-    ( inverse(Relation, Inverse) -> true ; Inverse = Relation ).
+pair_at(Id, pair(Relation, Relation, A, B, Value, Threshold, Confidence)) :-
+    symmetric(Relation),
+    canonical_edge(Relation, Id, Other, Value, Threshold, Confidence),
+    ( Id @< Other -> A = Id, B = Other ; A = Other, B = Id ).
 
 %!  affected_by(+Ids:list, -Affected:list) is det.
 %
@@ -495,11 +498,12 @@ affected_by(Ids, Affected) :-
     findall(Thing, ( member(Id, Ids), rests_upon(Thing, Id) ), Things),
     sort(Things, Affected).
 
-%!  affected_edges(+Ids:list, -Affected:list, -Edges:list) is det.
+%!  affected_edges(+Ids:list, -Affected:list, -Pairs:list) is det.
 %
-%   affected_by/2 and derived_edges_of/2 of that: what the graph asks after each
-%   observation.
+%   affected_by/2 and the derived edges of that, each pair once as
+%   pair(Relation, Inverse, A, B, Value, Threshold, Confidence): what the graph
+%   asks after each observation.
 
-affected_edges(Ids, Affected, Edges) :-
+affected_edges(Ids, Affected, Pairs) :-
     affected_by(Ids, Affected),
-    derived_edges_of(Affected, Edges).
+    canonical_edges_of(Affected, Pairs).
