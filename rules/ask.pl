@@ -163,7 +163,8 @@ problem_of(Error, problem(goal_error, Message, "")) :-
     format(string(Message), "~q", [Error]).
 
 syntax_place(string(_, Position), Place) :- !,
-    format(string(Place), " at character ~d", [Position]).
+    First is Position+1,
+    format(string(Place), " at character ~d", [First]).
 syntax_place(stream(_, Line, LinePosition, _), Place) :- !,
     format(string(Place), " at line ~d, character ~d", [Line, LinePosition]).
 syntax_place(_, "").

@@ -345,8 +345,8 @@ text(Call, Names, Text) :-
     write_text(Readable, Names, Text).
 
 %   An unseen instance is written as its class.
-readable('$some'(Class), Class) :- !.
 readable(Term, Term) :- \+ compound(Term), !.
+readable('$some'(Class), Class) :- !.
 readable(Term, Readable) :-
     Term =.. [Name|Arguments],
     maplist(readable, Arguments, Readables),
