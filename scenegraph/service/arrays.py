@@ -155,7 +155,7 @@ def is_array_form(value: Any) -> bool:
 
 def array_form(array: NDArray[Any], *, compress: bool, text: bool) -> dict[str, Any]:
     """`array` as `{"shape", "dtype", "codec", "data"}`; `data` in base64 when `text`."""
-    array = np.ascontiguousarray(array)
+    array = np.asarray(array, order="C")
     name = array.dtype.newbyteorder("<").str
     if name not in DTYPES:
         raise InvalidMessage(f"an array of dtype {array.dtype} cannot be sent: expected one of {', '.join(DTYPES)}")

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ValidationError
 
 from mapping.observations import Observation
+from reasoning.knowledge import Explanation
 from scenegraph.errors import Problem, SceneGraphError, nearest, one_line
 from scenegraph.graph import Delta, Mirror, Node, SceneGraph, Snapshot
 from scenegraph.service import keys
@@ -49,6 +50,7 @@ from scenegraph.service.messages import (
     encode,
     encoding_of,
 )
+from scenegraph.service.replies import explanation_of
 from scenegraph.service.session import default_endpoint, qos_options, session_config
 
 __all__ = ["Client", "LiveGraph", "RemoteAnswers"]
@@ -83,10 +85,10 @@ class RemoteAnswers:
     def __bool__(self) -> bool:
         return self.truth == "true"
 
-    def explain(self) -> Any:
-        """Why, or why not: asked of the server now."""
+    def explain(self) -> Explanation | None:
+        """Why it holds, or why not: asked of the server now. None when the goal could not be asked."""
         reply = self._client._ask(self._request.model_copy(update={"explain": True}))
-        return reply.explanation
+        return None if reply.explanation is None else explanation_of(reply.explanation)
 
 
 class Client:

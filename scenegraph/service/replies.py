@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from mapping.geometry import SE3
+from reasoning.knowledge import Explanation, Test
 from scenegraph.errors import Problem, SceneGraphError
 from scenegraph.graph import Node
 from scenegraph.service.errors import UnknownKey
@@ -26,7 +27,16 @@ from scenegraph.service.messages import (
     WhereReply,
 )
 
-__all__ = ["ask_reply", "map_values", "problem_from", "tell_reply", "where_reply"]
+__all__ = [
+    "ask_reply",
+    "explanation_of",
+    "json_value",
+    "map_layer",
+    "map_values",
+    "problem_from",
+    "tell_reply",
+    "where_reply",
+]
 
 
 def problem_from(given: Any) -> Problem | None:
@@ -53,6 +63,8 @@ def json_value(value: Any) -> Any:
         return {str(name): json_value(item) for name, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
         return [json_value(item) for item in value]
+    if hasattr(value, "as_json"):
+        return json_value(value.as_json())
     fields = getattr(value, "__dataclass_fields__", None)
     return {name: json_value(getattr(value, name)) for name in fields} if fields else str(value)
 
@@ -74,6 +86,18 @@ def ask_reply(answers: Any, *, revision: int, elapsed_ms: float, explain: bool, 
         problem=problem_from(answers.problem),
         explanation=json_value(answers.explain()) if explain else None,
         nodes=tuple(named.values()) if nodes else None,
+    )
+
+
+def explanation_of(document: Mapping[str, Any]) -> Explanation:
+    """An explanation as it was before it travelled; terms have become text and numbers."""
+    return Explanation(
+        goal=str(document["goal"]),
+        truth=document["truth"],
+        rule=str(document.get("rule", "")),
+        tests=tuple(Test(**test) for test in document.get("tests", ())),
+        evidence=tuple(document.get("evidence", ())),
+        children=tuple(explanation_of(child) for child in document.get("children", ())),
     )
 
 
