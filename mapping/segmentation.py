@@ -24,8 +24,15 @@ DEPTH_STEP_M = 0.02
 DEPTH_STEP_SHARE = 0.015
 """Neighbouring pixels lie on one surface when their depths differ by less than DEPTH_STEP_M + DEPTH_STEP_SHARE · z:
 above the noise of depth cameras, and the slope of a table top seen from standing height up to 3 m."""
+CORE_SHARE = 0.6
+"""The core of a mask is what lies deeper inside than BLEED_PX, or, in a small mask, than this share of its depth."""
+RIM_SLOPE = 3.0
+"""A rim pixel is the thing's own when its surface is no steeper than this against the image plane, seen from the core."""
 LEAST_PIXELS = 40
 """A piece smaller than this says too little about where a thing is."""
+PART_SHARE = 0.1
+PART_DEPTH_M = 0.6
+"""A thing seen around an obstacle has more than one piece: each counts this share of the main one and lies this near it."""
 
 
 @dataclass(frozen=True)
@@ -57,29 +64,35 @@ def segment(image: RgbdImage, depth_m: Array, things: Array) -> Segmentation:
     labels = np.zeros(depth_m.shape, np.uint16) if image.labels is None else image.labels
     instances = np.zeros(depth_m.shape, np.uint32) if image.instances is None else image.instances
     keys = instances.astype(np.int64) << 16 | labels
-    thing = (instances != 0) | things[labels]
     distance = np.empty(depth_m.shape, np.uint8)
     kernels.mask_depths(keys, distance)
-    keys[~thing] = 0
+    thing = (instances != 0) | things[labels]
+    names, mask = np.unique(np.where(thing, keys, 0), return_inverse=True)
+    mask = mask.reshape(depth_m.shape).astype(np.int32)
+    if names[0] != 0:  # every pixel lies on a thing
+        names, mask = np.concatenate([[0], names]), mask + 1
+    deepest = np.zeros(len(names), np.uint8)
+    kernels.measure_masks(mask, distance, deepest)
+    core_px = np.minimum(BLEED_PX, (CORE_SHARE * deepest).astype(np.uint8))
+    core = np.where(distance > core_px[mask], mask, 0).astype(np.int64)
     pieces = np.empty(depth_m.shape, np.int32)
-    n = kernels.connect(keys, depth_m, DEPTH_STEP_M, DEPTH_STEP_SHARE, pieces)
-    key, pixels = np.zeros(n, np.int64), np.zeros(n, np.int64)
-    core, centrality = np.zeros(n, np.uint8), np.zeros(n)
-    kernels.measure_pieces(keys, distance, pieces, key, pixels, core, centrality)
+    n = kernels.connect(core, depth_m, DEPTH_STEP_M, DEPTH_STEP_SHARE, pieces)
+    of_mask, pixels = np.zeros(n, np.int32), np.zeros(n, np.int64)
+    centrality, mean_depth = np.zeros(n), np.zeros(n)
+    kernels.measure_pieces(mask, distance, depth_m, pieces, of_mask, pixels, centrality, mean_depth)
+    group = _group_pieces(of_mask, centrality, mean_depth, (names >> 16) != 0)
+    pieces = np.concatenate([[0], group]).astype(np.int32)[pieces]
+    kernels.widen(pieces, mask, depth_m, BLEED_PX + 2, DEPTH_STEP_M, RIM_SLOPE, 1.0 / image.intrinsics.fx)
 
-    kept = _central_pieces(key, pixels, core, centrality, by_instance=(key >> 16) != 0)
-    masks, number = np.unique(key[kept], return_inverse=True)
-    renumber = np.zeros(n + 1, np.int32)
-    renumber[1:][kept] = np.where((key[kept] >> 16) != 0, number + 1, 0)
-    separate = np.flatnonzero(kept & ((key >> 16) == 0))  # without instance ids every piece stands for itself
-    renumber[1 + separate] = len(masks) + 1 + np.arange(len(separate))
-    numbers, renumber[:] = np.unique(renumber, return_inverse=True)
+    n_pieces = int(group.max(initial=0))
+    piece_pixels = np.bincount(pieces.ravel(), minlength=n_pieces + 1)
+    large = piece_pixels >= LEAST_PIXELS
+    large[0] = False
+    renumber = np.where(large, np.cumsum(large), 0).astype(np.int32)
     pieces = renumber[pieces]
-    n_pieces = len(numbers) - 1
-    piece_label, piece_pixels = np.zeros(n_pieces, np.uint16), np.zeros(n_pieces, np.int64)
-    of_piece = renumber[1:]
-    piece_label[of_piece[kept] - 1] = (key[kept] & 0xFFFF).astype(np.uint16)
-    np.add.at(piece_pixels, of_piece[kept] - 1, pixels[kept])
+    label_of_group = np.zeros(n_pieces + 1, np.uint16)
+    label_of_group[group] = (names[of_mask] & 0xFFFF).astype(np.uint16)
+    piece_label, piece_pixels = label_of_group[large], piece_pixels[large]
 
     believed = np.where((depth_m > 0) & ((pieces > 0) | ~thing), labels, 0).astype(np.uint16)
     trust = np.minimum(distance.astype(np.float32) * np.float32(1.0 / BLEED_PX), np.float32(1.0))
@@ -88,17 +101,21 @@ def segment(image: RgbdImage, depth_m: Array, things: Array) -> Segmentation:
     return Segmentation(believed, trust, pieces, piece_label, piece_pixels)
 
 
-def _central_pieces(key: Array, pixels: Array, core: Array, centrality: Array, by_instance: Array) -> Array:
-    """(n,) bool: the pieces that are the thing itself, not the rim of its mask on what lies behind or before it."""
-    kept = pixels >= LEAST_PIXELS
-    if not kept.any():
-        return kept
-    order = np.lexsort((-centrality, key))
-    first = np.ones(len(key), bool)
-    first[1:] = key[order][1:] != key[order][:-1]
-    leader = np.maximum.accumulate(np.where(first, np.arange(len(key)), 0))
-    largest = np.empty(len(key))
-    largest[order] = centrality[order][leader]
-    # Of one mask: the most central piece, and other parts (seen around an obstacle) that are thicker than a rim can be.
-    central = (centrality == largest) | ((core > BLEED_PX + 1) & (centrality > 0.2 * largest))
-    return kept & np.where(by_instance, central, core >= 3)
+def _group_pieces(of_mask: Array, centrality: Array, mean_depth: Array, has_instance: Array) -> Array:
+    """The number (n,) of the thing that each piece belongs to, 0 for pieces of background in gaps of a mask.
+
+    Of a mask with an instance id: the most central piece, and others that are large and near enough in depth to be parts
+    of it. Without instance ids every piece stands for itself.
+    """
+    group = np.zeros(len(of_mask), np.int64)
+    order = np.lexsort((-centrality, of_mask))
+    number, main = 0, -1
+    for at in order.tolist():
+        same = main >= 0 and of_mask[at] == of_mask[main]
+        if not same or not has_instance[of_mask[at]]:
+            number += 1
+            main = at
+            group[at] = number
+        elif centrality[at] > PART_SHARE * centrality[main] and abs(mean_depth[at] - mean_depth[main]) < PART_DEPTH_M:
+            group[at] = number
+    return group

@@ -1,6 +1,8 @@
 """Everything that can go wrong in the scene graph service, and how it is told on the wire.
 
 SceneGraphError
+├── InvalidConfig          a world was configured with an impossible value (also a ValueError)
+├── InvalidStatement       a statement for `tell` that is not one, or that does not fit the world (also a ValueError)
 ├── InvalidGraphValue      a node, edge, box or delta with a bad field (also a ValueError)
 ├── UnknownNode            an id that is neither a node nor a tombstone (also a KeyError)
 ├── InvariantViolated      a change that would leave the graph inconsistent; nothing was changed
@@ -33,7 +35,9 @@ __all__ = [
     "DanglingEdge",
     "ExportError",
     "HistoryUnavailable",
+    "InvalidConfig",
     "InvalidGraphValue",
+    "InvalidStatement",
     "InvariantViolated",
     "PictureError",
     "Problem",
@@ -62,6 +66,18 @@ class SceneGraphError(Exception):
 
     def __str__(self) -> str:
         return self.message
+
+
+class InvalidConfig(SceneGraphError, ValueError):
+    """A world was configured with an impossible value; the message names the field, the value and what was expected."""
+
+    code = "invalid_config"
+
+
+class InvalidStatement(SceneGraphError, ValueError):
+    """A statement for `tell` cannot be understood, or does not fit the world; nothing was changed."""
+
+    code = "invalid_statement"
 
 
 class InvalidGraphValue(SceneGraphError, ValueError):

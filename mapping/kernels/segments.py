@@ -105,22 +105,79 @@ def connect(keys: Array, depth: Array, step_m: float, step_share: float, pieces:
 
 
 @njit(cache=True)
-def measure_pieces(keys: Array, distance: Array, pieces: Array, key: Array, pixels: Array, core: Array, centrality: Array) -> None:
+def measure_masks(mask: Array, distance: Array, deepest: Array) -> None:
+    """The largest distance from the boundary that each mask reaches, in place. mask (H, W) int32: 0 … n − 1 for deepest (n,)."""
+    height, width = mask.shape
+    for v in range(height):
+        for u in range(width):
+            m = mask[v, u]
+            deepest[m] = max(deepest[m], distance[v, u])
+
+
+@njit(cache=True)
+def measure_pieces(
+    mask: Array, distance: Array, depth: Array, pieces: Array, of_mask: Array, pixels: Array, centrality: Array, mean_depth: Array
+) -> None:
     """Sum up every piece, in place.
 
-    key        : (n,) int64, the mask a piece belongs to
+    of_mask    : (n,) int32, the mask that a piece belongs to
     pixels     : (n,) int64, its size
-    core       : (n,) uint8 [px], the largest distance of its pixels from the mask's boundary
-    centrality : (n,) float64, Σ distance⁴: large where the middle of the mask is, small for a rim however long
+    centrality : (n,) float64, Σ distance²: large where the middle of the mask is
+    mean_depth : (n,) float64 [m]
     """
-    height, width = keys.shape
+    height, width = mask.shape
     for v in range(height):
         for u in range(width):
             i = pieces[v, u] - 1
             if i < 0:
                 continue
-            d = distance[v, u]
-            key[i] = keys[v, u]
+            of_mask[i] = mask[v, u]
             pixels[i] += 1
-            core[i] = max(core[i], d)
-            centrality[i] += float(d) ** 4
+            centrality[i] += float(distance[v, u]) ** 2
+            mean_depth[i] += depth[v, u]
+    for i in range(len(pixels)):
+        mean_depth[i] /= max(pixels[i], 1)
+
+
+@njit(cache=True)
+def widen(pieces: Array, mask: Array, depth: Array, reach: int, step_m: float, slope: float, pixel_m: float) -> None:
+    """Give the rim of each mask to the nearest core pixel of the same mask, where the depths agree, in place.
+
+    pieces  : (H, W) int32, > 0 on cores
+    reach   : how far a rim is wide at most [px]
+    A rim pixel at depth z, d pixels from its core pixel, agrees when the depths differ by less than
+    step_m + slope · d · z · pixel_m, pixel_m being the width of a pixel at 1 m: the surface goes on, however slanted.
+    """
+    height, width = mask.shape
+    source = np.full((height, width), -1, dtype=np.int32)
+    away = np.full((height, width), 1 << 20, dtype=np.int32)
+    for v in range(height):
+        for u in range(width):
+            if pieces[v, u]:
+                source[v, u] = v * width + u
+                away[v, u] = 0
+            for n in range(4):
+                a, b = (v, u - 1) if n == 0 else (v - 1, u - 1) if n == 1 else (v - 1, u) if n == 2 else (v - 1, u + 1)
+                if a < 0 or b < 0 or b >= width or mask[a, b] != mask[v, u] or source[a, b] < 0:
+                    continue
+                cost = away[a, b] + (3 if n % 2 else 2)
+                if cost < away[v, u]:
+                    away[v, u], source[v, u] = cost, source[a, b]
+    for v in range(height - 1, -1, -1):
+        for u in range(width - 1, -1, -1):
+            for n in range(4):
+                a, b = (v, u + 1) if n == 0 else (v + 1, u + 1) if n == 1 else (v + 1, u) if n == 2 else (v + 1, u - 1)
+                if a >= height or b < 0 or b >= width or mask[a, b] != mask[v, u] or source[a, b] < 0:
+                    continue
+                cost = away[a, b] + (3 if n % 2 else 2)
+                if cost < away[v, u]:
+                    away[v, u], source[v, u] = cost, source[a, b]
+    for v in range(height):
+        for u in range(width):
+            d = 0.5 * away[v, u]
+            z = depth[v, u]
+            if d == 0.0 or d > reach or not z > 0.0 or mask[v, u] == 0:
+                continue
+            a, b = source[v, u] // width, source[v, u] % width
+            if abs(depth[a, b] - z) < step_m + slope * d * z * pixel_m:
+                pieces[v, u] = pieces[a, b]

@@ -1,0 +1,90 @@
+"""The map of a world: all layers side by side, fed by one observation at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.geometry import SE3
+from mapping.instances import InstanceChange, InstanceMap
+from mapping.layer import Changed, MapLayer
+from mapping.observations import RgbdImage, Scan
+from mapping.occupancy import OccupancyMap
+from mapping.planes import PlaneChange, PlaneMap
+from mapping.segmentation import segment
+from mapping.semantics import SemanticMap
+from mapping.tsdf import TsdfMap
+from mapping.view import DepthView
+
+Array: TypeAlias = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class MapChange:
+    """What one observation changed on each floor of the map."""
+
+    occupancy: Changed
+    tsdf: Changed
+    planes: PlaneChange = field(default_factory=PlaneChange)
+    instances: InstanceChange = field(default_factory=lambda: InstanceChange(frozenset(), {}))
+
+
+class LayeredMap:
+    """Occupancy, signed distance, planes, class votes and instances.
+
+    voxel_size_m           edge of the voxels of occupancy, signed distance and semantics [m]
+    instance_voxel_size_m  edge of the finer voxels of which things are made [m]
+    max_range_m            measurements beyond this are cut [m]
+    label_range_m          labels beyond this are not believed [m]
+    """
+
+    def __init__(
+        self, *, voxel_size_m: float, instance_voxel_size_m: float, max_range_m: float, label_range_m: float
+    ) -> None:
+        self.max_range_m = max_range_m
+        self.label_range_m = label_range_m
+        self.occupancy = OccupancyMap(voxel_size_m=voxel_size_m, max_range_m=max_range_m)
+        self.tsdf = TsdfMap(voxel_size_m=voxel_size_m, truncation_m=max(3.0 * voxel_size_m, 0.06), max_range_m=max_range_m)
+        self.semantics = SemanticMap(voxel_size_m=voxel_size_m)
+        self.instances = InstanceMap(voxel_size_m=instance_voxel_size_m)
+        self.planes = PlaneMap(voxel_size_m)
+
+    @property
+    def layers(self) -> dict[str, MapLayer]:
+        return {layer.kind: layer for layer in (self.occupancy, self.tsdf, self.semantics, self.instances)}
+
+    def integrate_image(self, image: RgbdImage, T_map_camera: SE3, things: Array) -> MapChange:
+        """Fuse an image; `things` (65536,) bool marks the class ids that have instances."""
+        view = DepthView(image.depth_m, image.intrinsics, T_map_camera, self.max_range_m)
+        occupancy = self.occupancy.integrate_view(view)
+        registered = image.color if image.T_depth_color is None and image.color_intrinsics is None else None
+        tsdf = self.tsdf.integrate_view(view, color=registered)
+        planes = self.planes.update(self.tsdf, tsdf)
+        return MapChange(occupancy, tsdf, planes, self._vote(image, T_map_camera, things))
+
+    def label_image(self, image: RgbdImage, T_map_camera: SE3, things: Array) -> MapChange:
+        """Add the labels of an image whose depth was fused before."""
+        nothing = np.empty((0, 3), np.int32)
+        unchanged = (Changed(nothing, self.occupancy.block_size_m), Changed(nothing, self.tsdf.block_size_m))
+        return MapChange(*unchanged, instances=self._vote(image, T_map_camera, things))
+
+    def _vote(self, image: RgbdImage, T_map_camera: SE3, things: Array) -> InstanceChange:
+        if image.labels is None:
+            return InstanceChange(frozenset(), {})
+        depth_m = np.where(image.depth_m < self.label_range_m, image.depth_m, np.float32(0.0))
+        seen = segment(image, depth_m, things)
+        self.semantics.integrate_image(depth_m, seen.labels, seen.trust, image.intrinsics, T_map_camera)
+        return self.instances.integrate_image(seen, depth_m, image.intrinsics, T_map_camera, image.stamp_ns)
+
+    def integrate_scan(self, scan: Scan, T_map_sensor: SE3) -> MapChange:
+        """Fuse a scan; labels of points vote for classes."""
+        occupancy = self.occupancy.integrate(scan.points, T_map_sensor)
+        tsdf = self.tsdf.integrate(scan.points, T_map_sensor)
+        planes = self.planes.update(self.tsdf, tsdf)
+        if scan.labels is not None:
+            near = np.linalg.norm(scan.points, axis=1) < self.max_range_m
+            self.semantics.integrate(T_map_sensor @ scan.points[near], scan.labels[near])
+        return MapChange(occupancy, tsdf, planes)

@@ -1,0 +1,162 @@
+"""Where the graph meets the rules: facts out, derived edges, labels, room types and answers back in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, cast
+
+from mapping.observations import ClassInfo
+from reasoning.knowledge import KnowledgeBase
+from reasoning.terms import Atom, Compound, Term, Var
+from scenegraph import facts
+from scenegraph.answers import Answers
+from scenegraph.config import WorldConfig
+from scenegraph.graph import Edge, GraphChanges, Node, SceneGraph
+from scenegraph.perception.relations import MeasurementChange
+from scenegraph.statements import Statement
+
+DERIVED = frozenset({"on", "supports", "in", "contains", "above", "under", "near", "touching"})
+"""Relations whose stored edges follow the rules; other stored edges are facts of their own."""
+
+
+class Meaning:
+    """Keeps the knowledge base in step with the graph, and the graph with what the rules derive."""
+
+    def __init__(self, knowledge: KnowledgeBase, config: WorldConfig) -> None:
+        self.knowledge = knowledge
+        self._told: dict[tuple[str, str], dict[str, Compound]] = {}
+        self._facts_of: dict[str, frozenset[Compound]] = {}
+        self._containers: dict[str, bool] = {}
+        self._structural: dict[str, bool] = {}
+        knowledge.update(
+            put=[
+                Compound("parameter", (Atom("voxel_size_m"), config.fine_voxel_size_m)),
+                Compound("unobserved", (Atom("world"),)),
+            ]
+        )
+
+    # -- the taxonomy -------------------------------------------------------------------------------------
+    def learn_classes(self, classes: Sequence[ClassInfo]) -> None:
+        """Tell the rules of new classes."""
+        self.knowledge.update(put=facts.class_facts((c.name, c.kind, c.parent) for c in classes))
+        self._containers.clear()
+        self._structural.clear()
+
+    def is_container(self, label: str) -> bool:
+        """Whether the taxonomy calls things of this class containers."""
+        return self._known(self._containers, label, lambda c: Compound("container", (c,)))
+
+    def is_structural(self, label: str) -> bool:
+        """Whether things of this class are part of the building: doors, windows."""
+        return self._known(self._structural, label, lambda c: Compound("subclass", (c, Atom("structure"))))
+
+    def _known(self, cache: dict[str, bool], label: str, goal: Any) -> bool:
+        if label not in cache:
+            cache[label] = bool(self.knowledge.call(goal(Atom(facts.class_atom(label))), limit=1))
+        return cache[label]
+
+    # -- planes -------------------------------------------------------------------------------------------
+    def label_planes(self, planes: Sequence[Compound], relations: Sequence[Compound]) -> dict[int, str]:
+        """Labels of planes from the constraint network in `rules/structure.pl`."""
+        goal = Compound("label_planes", (list(planes), list(relations), Var("Labels")))
+        [answer] = self.knowledge.call(goal)
+        pairs = (pair.args for pair in cast(list[Compound], answer["Labels"]))
+        return {int(cast(int, plane)): str(label) for plane, label in pairs}
+
+    # -- the graph ----------------------------------------------------------------------------------------
+    def infer(
+        self, changes: GraphChanges, measured: MeasurementChange, touched: Iterable[str], graph: SceneGraph, source: str, stamp_ns: int
+    ) -> None:
+        """Tell the rules what changed, and add to `changes` the edges and room types that now follow or fail."""
+        nodes = {step.id: step for step in changes.steps if isinstance(step, Node)}
+        gone = {step.id for step in changes.steps if not isinstance(step, (Node, Edge)) and hasattr(step, "reason")}
+        put, deleted = facts.measurement_facts(measured)
+        for node in nodes.values():
+            fresh = frozenset(facts.node_facts(node))
+            put += fresh - self._facts_of.get(node.id, frozenset())
+            self._facts_of[node.id] = fresh
+        put += [facts.edge_fact(step) for step in changes.steps if isinstance(step, Edge)]
+        for node_id in gone:
+            self._facts_of.pop(node_id, None)
+        self.knowledge.update(put=put, deleted=deleted, forget=sorted(gone))
+
+        asked = sorted(set(touched) - gone)
+        if asked:
+            looked_at, derived = self.knowledge.derived_edges(asked)
+            self._bring_edges_in_step(changes, looked_at, derived, nodes, gone, graph, source, stamp_ns)
+        self._type_rooms(changes, nodes, gone, graph)
+
+    @staticmethod
+    def _bring_edges_in_step(
+        changes: GraphChanges, looked_at: list[str], derived: list[Any], nodes: dict[str, Node], gone: set[str],
+        graph: SceneGraph, source: str, stamp_ns: int,
+    ) -> None:
+        stale = {
+            edge.key for node_id in looked_at if node_id in graph for edge in graph.edges_of(node_id) if edge.relation in DERIVED
+        }
+        room_edges = {key for key in stale if key[2] == "building_1" or key[1] == "building_1"}
+        stale -= room_edges
+        for edge in derived:
+            key = (edge.relation, edge.source, edge.target)
+            stale.discard(key)  # type: ignore[arg-type]
+            known = graph.edge(*key)
+            if known is not None and known.value == edge.value and known.threshold == edge.threshold:
+                continue
+            changes.put(facts.derived_edge(edge, known, (source,), stamp_ns))
+        for relation, one, other in sorted(stale):
+            if one not in gone and other not in gone:
+                changes.delete_edge(relation, one, other)
+
+    def _type_rooms(self, changes: GraphChanges, nodes: dict[str, Node], gone: set[str], graph: SceneGraph) -> None:
+        """Write the type that the rules give a room, with the reason, where it changed."""
+        rooms = {n.id: n for n in graph.nodes("room") if n.id not in gone}
+        rooms.update({i: n for i, n in nodes.items() if n.layer == "room"})
+        touched = {s.target for s in changes.steps if isinstance(s, Edge) and s.relation == "in"} | nodes.keys()
+        for room_id in sorted(rooms.keys() & touched):
+            goal = Compound("room_type", (Atom(room_id), Var("Type"), Var("Reason")))
+            answers = self.knowledge.call(goal, limit=1)
+            room = rooms[room_id]
+            kind = str(answers[0]["Type"]) if answers else None
+            reason = _reason(answers[0]["Reason"]) if answers else None
+            if (room.attributes.get("type"), room.attributes.get("type_reason")) != (kind, reason):
+                attributes = {k: v for k, v in room.attributes.items() if k not in ("type", "type_reason")}
+                if kind is not None:
+                    attributes |= {"type": kind, "type_reason": reason}
+                changes.put(room.replace(label=kind or "room", attributes=attributes))
+
+    # -- questions ----------------------------------------------------------------------------------------
+    def ask(
+        self, goal: str, graph: SceneGraph, *, robot: str | None, limit: int, timeout_s: float, at_ns: int | None
+    ) -> Answers:
+        """Ask a goal now, or of the graph as it was."""
+        viewer = f"agent_{robot}" if robot is not None else None
+        if at_ns is not None:
+            past = graph.as_of(at_ns)
+            with KnowledgeBase() as memory:
+                memory.update(put=[*self._class_facts(), *(f for n in past.nodes() for f in facts.node_facts(n)), *map(facts.edge_fact, past.edges())])
+                reply = memory.ask(goal, limit=limit, timeout_s=timeout_s, explain=True, viewer=viewer)
+            return Answers(reply, past.revision, {n.id: n for n in past.nodes()})
+        reply = self.knowledge.ask(goal, limit=limit, timeout_s=timeout_s, explain=True, viewer=viewer)
+        named = {t.name for row in reply.answers for t in row.values() if isinstance(t, Atom)}
+        return Answers(reply, graph.revision, {i: graph.node(i) for i in named if i in graph})
+
+    def _class_facts(self) -> list[Compound]:
+        return [
+            Compound("class_info", (row["C"], row["K"], row["P"]))
+            for row in self.knowledge.call("class_info(C, K, P)")
+        ]  # fmt: skip
+
+    # -- statements ---------------------------------------------------------------------------------------
+    def accept(self, told: Statement, graph: SceneGraph) -> GraphChanges:
+        """Carry out a statement: facts go to the rules, the rest changes the graph. Raises `InvalidStatement`."""
+        changes = told.changes(graph)
+        for node in (step for step in changes.steps if isinstance(step, Node)):
+            fresh = frozenset(facts.node_facts(node))
+            self.knowledge.update(put=fresh - self._facts_of.get(node.id, frozenset()))
+            self._facts_of[node.id] = fresh
+        told.inform(self.knowledge)
+        return changes
+
+
+def _reason(term: Term) -> str:
+    return term if isinstance(term, str) else str(term)

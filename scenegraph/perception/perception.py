@@ -1,0 +1,123 @@
+"""From changed voxels to changes of the graph: structure → objects → rooms → measurements → what the rules derive."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.layered import LayeredMap, MapChange
+from mapping.observations import AgentPose
+from mapping.planes import Plane
+from scenegraph.facts import class_atom
+from scenegraph.graph import Box, GraphChanges, Node, SceneGraph
+from scenegraph.labels import Labels
+from scenegraph.perception.building import Building
+from scenegraph.perception.objects import Objects
+from scenegraph.perception.relations import MeasurementChange, Relations
+from scenegraph.perception.rooms import Rooms
+from scenegraph.perception.structure import Structure
+
+if TYPE_CHECKING:
+    from scenegraph.meaning import Meaning
+
+Array: TypeAlias = NDArray[Any]
+
+BUILDING = "building_1"
+EVIDENCE_SAMPLES = 200
+
+
+class Perception:
+    """All that looks at the map and writes the graph; each part looks only at what changed."""
+
+    def __init__(self, map_: LayeredMap, labels: Labels, meaning: Meaning) -> None:
+        self._map = map_
+        self._labels = labels
+        self._meaning = meaning
+        self.structure = Structure()
+        self.objects = Objects(labels.name, meaning.is_structural)
+        self.rooms = Rooms()
+        self.building = Building(map_.planes, map_.occupancy)
+        self.relations = Relations(meaning.is_container)
+
+    def perceive(self, seen: MapChange, graph: SceneGraph, stamp_ns: int, source: str) -> GraphChanges:
+        """Everything that follows from one observation's change of the map."""
+        changes = self._found(graph, stamp_ns)
+        changes.extend(
+            self.structure.update(self._map.planes, seen.planes, self._evidence, self._meaning.label_planes, stamp_ns)
+        )
+        labelled = self._labelled_planes(changes)
+        self.building.update(labelled, seen.planes.deleted)
+        self.rooms.forget_walls(seen.planes.deleted)
+
+        object_changes, reshaped = self.objects.update(self._map.instances, seen.instances, graph)
+        changes.extend(object_changes)
+        room_changes, moved_rooms = self.rooms.update(self._map.occupancy, seen.occupancy, labelled, graph, stamp_ns)
+        changes.extend(room_changes)
+
+        measured = self.relations.update(self.objects.shapes, self.objects.labels, reshaped, self.building)
+        measured.merge(self._room_shares(reshaped, moved_rooms))
+        self._meaning.infer(changes, measured, reshaped | moved_rooms, graph, source, stamp_ns)
+        return changes
+
+    def place_agent(self, observation: AgentPose, graph: SceneGraph) -> GraphChanges:
+        """The node of a robot at its new pose, and the room that it is in."""
+        changes = self._found(graph, observation.stamp_ns)
+        agent = f"agent_{observation.robot}"
+        known = graph.node(agent) if agent in graph else None
+        position = observation.T_map_base.translation
+        changes.put(
+            Node(
+                id=agent,
+                layer="agent",
+                label="robot",
+                position=position,
+                box=Box(center=position, size=(0.0, 0.0, 0.0), rotation_wxyz=observation.T_map_base.quaternion_wxyz),
+                first_seen_ns=observation.stamp_ns if known is None else min(known.first_seen_ns, observation.stamp_ns),
+                last_seen_ns=observation.stamp_ns if known is None else max(known.last_seen_ns, observation.stamp_ns),
+                attributes={"name": observation.robot},
+            )
+        )
+        shares = self.rooms.shares(position[None, :2], float(position[2]))
+        measured = self.relations.set_shares(agent, shares)
+        source = f"{observation.robot}/pose@{observation.stamp_ns}"
+        self._meaning.infer(changes, measured, {agent}, graph, source, observation.stamp_ns)
+        return changes
+
+    @staticmethod
+    def _found(graph: SceneGraph, stamp_ns: int) -> GraphChanges:
+        """Changes that begin with the building, which is there from the first observation."""
+        changes = GraphChanges()
+        if BUILDING not in graph:
+            changes.put(
+                Node(
+                    id=BUILDING, layer="building", label="building", position=(0.0, 0.0, 0.0),
+                    first_seen_ns=stamp_ns, last_seen_ns=stamp_ns,
+                )
+            )  # fmt: skip
+        return changes
+
+    def _evidence(self, plane: Plane) -> dict[str, float]:
+        """Shares of the classes among the labelled voxels of a plane."""
+        points = self._map.planes.samples(plane.id, EVIDENCE_SAMPLES)
+        labels, _ = self._map.semantics.query(points)
+        labels = labels[labels > 0]
+        if 4 * len(labels) < len(points):
+            return {}
+        ids, counts = np.unique(labels, return_counts=True)
+        return {class_atom(self._labels.name(int(i))): n / len(labels) for i, n in zip(ids, counts.tolist(), strict=True)}
+
+    def _labelled_planes(self, changes: GraphChanges) -> list[tuple[str, Plane]]:
+        put = {s.id: s.label for s in changes.steps if isinstance(s, Node) and s.id.startswith("plane_")}
+        ids = {int(node.removeprefix("plane_")): label for node, label in put.items()}
+        return [(label, self._map.planes.plane(i)) for i, label in ids.items() if i in self._map.planes]
+
+    def _room_shares(self, reshaped: set[str], moved_rooms: set[str]) -> MeasurementChange:
+        """In which rooms the footprints of things lie, for things and rooms that changed."""
+        change = MeasurementChange()
+        for thing in sorted(reshaped | self.relations.things_in(moved_rooms)):
+            shape = self.objects.shapes.get(thing)
+            shares = {} if shape is None else self.rooms.shares(shape.ground_samples, shape.lowest)
+            change.merge(self.relations.set_shares(thing, shares))
+        return change

@@ -1,0 +1,133 @@
+"""The measured shape of a thing: surface points, and what relations need to know of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.kernels import columns, shapes
+from scenegraph.graph import Box
+
+Array: TypeAlias = NDArray[Any]
+
+COARSE_CELL_M = 0.06
+EXTREME_SHARE = 0.01
+"""Share of the points that may stick out of a box at either end: outliers of depth and pose."""
+FOOTING_HEIGHT_M = 0.03
+"""Columns whose lowest material lies within this of the lowest point carry the thing (`contact_gap` in the rules)."""
+HEADROOM_M = 0.10
+"""A surface faces up, and can carry something, when this much above it is clear of the thing's own material."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """Surface points (N, 3) float32 [m] of one thing in map, one a voxel of edge `voxel_size_m`."""
+
+    points: NDArray[np.float32]
+    voxel_size_m: float
+
+    @staticmethod
+    def trimmed(points: NDArray[np.float32], weights: NDArray[np.float32], voxel_size_m: float) -> Shape | None:
+        """The shape without the outermost EXTREME_SHARE of the votes in height; None when too few points remain."""
+        if len(points) < 4:
+            return None
+        order = np.argsort(points[:, 2])
+        mass = np.cumsum(weights[order])
+        kept = (mass >= EXTREME_SHARE * mass[-1]) & (mass <= (1.0 - EXTREME_SHARE / 2) * mass[-1])
+        chosen = order[kept] if kept.sum() >= 4 else order
+        return Shape(np.ascontiguousarray(points[np.sort(chosen)]), voxel_size_m)
+
+    @cached_property
+    def lowest(self) -> float:
+        return float(self.points[:, 2].min())
+
+    @cached_property
+    def highest(self) -> float:
+        return float(self.points[:, 2].max())
+
+    @cached_property
+    def hull(self) -> Array:
+        """Convex ground projection: corners (K, 2), counter-clockwise."""
+        return shapes.convex_hull(self.points[:, :2].astype(np.float64))
+
+    @cached_property
+    def area(self) -> float:
+        """Of the hull [m²]."""
+        return abs(shapes.polygon_area(self.hull)) if len(self.hull) > 2 else 0.0
+
+    @cached_property
+    def ground_samples(self) -> Array:
+        """(N, 2) points spread over the hull, about one each 5 cm; its corners and middle for a small thing."""
+        low, high = self.hull.min(axis=0), self.hull.max(axis=0)
+        steps = np.clip(np.ceil((high - low) / 0.05).astype(int), 2, 60)
+        grid = np.stack(np.meshgrid(*(np.linspace(a, b, n) for a, b, n in zip(low, high, steps, strict=True))), axis=-1)
+        inside = grid.reshape(-1, 2)[shapes.points_inside(self.hull, grid.reshape(-1, 2), 1e-9)]
+        return inside if len(inside) >= 4 else np.vstack([self.hull, self.hull.mean(axis=0)])
+
+    @cached_property
+    def rectangle(self) -> tuple[float, float, float, float, float]:
+        """Centre x, y, length, width, yaw of the smallest rectangle around the hull."""
+        return shapes.smallest_rectangle(self.hull)
+
+    @cached_property
+    def box(self) -> Box:
+        """Upright oriented box: x along the longer side, z up."""
+        x, y, length, width, yaw = self.rectangle
+        least = 0.5 * self.voxel_size_m
+        return Box.from_yaw(
+            (x, y, 0.5 * (self.lowest + self.highest)),
+            (max(length, least), max(width, least), max(self.highest - self.lowest, least)),
+            yaw,
+        )
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest corner (3,) of the axis-aligned box."""
+        return self.points.min(axis=0).astype(np.float64), self.points.max(axis=0).astype(np.float64)
+
+    @cached_property
+    def coarse(self) -> NDArray[np.float32]:
+        """(M, 3) some of the points, about one each COARSE_CELL_M."""
+        return self.points[columns.thin_out(self.points, COARSE_CELL_M)]
+
+    @cached_property
+    def _columns(self) -> tuple[Array, Array]:
+        keys = columns.column_keys(self.points, self.voxel_size_m)
+        return keys, np.lexsort((self.points[:, 2], keys))
+
+    @cached_property
+    def facing_up(self) -> NDArray[np.float32]:
+        """(E, 3) the points on which something could stand."""
+        keys, order = self._columns
+        free = columns.facing_up(self.points, keys, order, 1.5 * self.voxel_size_m, HEADROOM_M)
+        return self.points[free]
+
+    @cached_property
+    def bottoms(self) -> NDArray[np.float32]:
+        """(C, 3) the lowest point of every column."""
+        keys, order = self._columns
+        return self.points[columns.column_bottoms(self.points, keys, order)]
+
+    @cached_property
+    def footing(self) -> Array:
+        """(F, 2) the columns on which the thing stands."""
+        bottoms = self.bottoms
+        return bottoms[bottoms[:, 2] <= self.lowest + FOOTING_HEIGHT_M, :2].astype(np.float64)
+
+    def distance_m(self, other: Shape) -> tuple[float, Array, Array]:
+        """Least distance between the points of both, and a pair of points (3,), (3,) that attains it.
+
+        Coarse points first, then all points around the coarse pair: exact when the pair is near the true one.
+        """
+        reach, i, j = shapes.nearest_pair(self.coarse, other.coarse)
+        p, q = self.coarse[i], other.coarse[j]
+        mine = self.points[shapes.within(self.points, q, reach + 1e-4)]
+        theirs = other.points[shapes.within(other.points, p, reach + 1e-4)]
+        if len(mine) * len(theirs) == 0 or len(mine) * len(theirs) > 400_000:
+            return reach, p, q
+        least, i, j = shapes.nearest_pair(mine, theirs)
+        return float(least), mine[i], theirs[j]

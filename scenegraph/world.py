@@ -1,0 +1,192 @@
+"""The world: observations in; a layered map, a labelled scene graph and symbolic answers out.
+
+`World.integrate` is the one main path; service, replay, simulation, tests and benchmarks all call it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+from mapping.frames import FrameTree
+from mapping.layered import LayeredMap, MapChange
+from mapping.observations import (
+    AgentPose,
+    Detections,
+    LabelSpace,
+    Observation,
+    RgbdImage,
+    RobotDescription,
+    Scan,
+    Transform,
+)
+from reasoning.knowledge import KnowledgeBase
+from scenegraph import statements, storing
+from scenegraph.answers import Answers, Place, TellResult
+from scenegraph.config import WorldConfig
+from scenegraph.detections import DetectionDesk
+from scenegraph.errors import InvalidStatement
+from scenegraph.graph import Delta, GraphChanges, SceneGraph
+from scenegraph.labels import Labels
+from scenegraph.meaning import Meaning
+from scenegraph.perception.perception import Perception
+from scenegraph.places import PlaceFinder
+
+__all__ = ["World"]
+
+
+class World:
+    """A world model in this process: no server, no network. A context manager; one thread at a time may use it.
+
+    config : see `WorldConfig`; default: 5 cm voxels
+    """
+
+    def __init__(self, config: WorldConfig | None = None) -> None:
+        self.config = config or WorldConfig()
+        self.map = LayeredMap(
+            voxel_size_m=self.config.voxel_size_m,
+            instance_voxel_size_m=self.config.fine_voxel_size_m,
+            max_range_m=self.config.max_range_m,
+            label_range_m=self.config.label_range_m,
+        )
+        self.graph = SceneGraph()
+        self.frames = FrameTree()
+        self.labels = Labels()
+        self.robots: dict[str, RobotDescription] = {}
+        self.statements: list[statements.Statement] = []
+        self._knowledge = KnowledgeBase(self.config.rule_files)
+        self._meaning = Meaning(self._knowledge, self.config)
+        self._perception = Perception(self.map, self.labels, self._meaning)
+        self._desk = DetectionDesk()
+
+    # -- observations in ----------------------------------------------------------------------------------
+    def integrate(self, observation: Observation) -> Delta:
+        """Take in one observation; returns what it changed in the graph.
+
+        Raises `InvalidObservation` when it does not fit what is known (a class id without a label space) and
+        `PoseUnavailable` when its pose is neither given nor in the frame tree. The world is then unchanged.
+        """
+        match observation:
+            case RgbdImage():
+                change = self._integrate_image(self._desk.label(observation, self.labels))
+            case Scan():
+                change = self._integrate_scan(observation)
+            case Detections():
+                return self._integrate_detections(observation)
+            case AgentPose():
+                self.frames.add(observation)
+                return self._commit(self._perception.place_agent(observation, self.graph), observation.stamp_ns)
+            case Transform():
+                self.frames.add(observation)
+                return self._commit(GraphChanges(), observation.stamp_ns)
+            case LabelSpace():
+                self._meaning.learn_classes(self.labels.learn(observation))
+                return self._commit(GraphChanges(), self.graph.stamp_ns)
+            case RobotDescription():
+                self.robots[observation.robot] = observation
+                return self._commit(GraphChanges(), self.graph.stamp_ns)
+            case _:
+                raise TypeError(f"World.integrate: expected an observation, got {type(observation).__name__}")
+        changes = self._perception.perceive(change, self.graph, observation.stamp_ns, _source(observation))
+        return self._commit(changes, observation.stamp_ns)
+
+    def _integrate_image(self, image: RgbdImage) -> MapChange:
+        T_map_camera = image.T_map_camera or self.frames.sensor_pose(
+            image.robot, image.sensor, image.stamp_ns, optical=True
+        )
+        if image.labels is not None:
+            labels = self.labels.translate(image.labels, image.robot, image.sensor)
+            image = image.model_copy(update={"labels": labels})
+        self._desk.keep(image, T_map_camera)
+        return self.map.integrate_image(image, T_map_camera, self.labels.things)
+
+    def _integrate_scan(self, scan: Scan) -> MapChange:
+        T_map_sensor = scan.T_map_sensor or self.frames.sensor_pose(
+            scan.robot, scan.sensor, scan.stamp_ns, optical=False
+        )
+        if scan.labels is not None:
+            scan = scan.model_copy(update={"labels": self.labels.translate(scan.labels, scan.robot, scan.sensor)})
+        return self.map.integrate_scan(scan, T_map_sensor)
+
+    def _integrate_detections(self, detections: Detections) -> Delta:
+        """Label the image that the detections belong to; they wait for it when it has not come yet."""
+        found = self._desk.match(detections, self.labels)
+        if found is None:
+            return self._commit(GraphChanges(), detections.stamp_ns)
+        image, T_map_camera = found
+        change = self.map.label_image(image, T_map_camera, self.labels.things)
+        changes = self._perception.perceive(change, self.graph, detections.stamp_ns, _source(detections))
+        return self._commit(changes, detections.stamp_ns)
+
+    def _commit(self, changes: GraphChanges, stamp_ns: int) -> Delta:
+        return self.graph.commit(changes, max(stamp_ns, self.graph.stamp_ns))
+
+    # -- answers out --------------------------------------------------------------------------------------
+    def ask(
+        self, goal: str, *, robot: str | None = None, limit: int = 100, timeout_s: float = 1.0, at_ns: int | None = None
+    ) -> Answers:
+        """Ask a goal such as `near(X, oven), on(X, Y)`; a class name stands for any instance.
+
+        robot : whose viewpoint left and right mean;  at_ns : ask the graph as it was then (its edges, not new inferences)
+        """
+        return self._meaning.ask(goal, self.graph, robot=robot, limit=limit, timeout_s=timeout_s, at_ns=at_ns)
+
+    def where(self, phrase: str, *, robot: str | None = None) -> Place:
+        """Where a phrase (`near the oven`) or a goal with one variable (`cup(X)`) is: nodes, region, reachable poses."""
+        finder = PlaceFinder(self.graph, self.map.occupancy, self._knowledge, self.robots, self.config.robot_radius_m)
+        return finder.find(phrase, robot)
+
+    def tell(self, statement: str, *, author: str, reason: str = "") -> TellResult:
+        """State something: `fact(T)`, `retract(T)`, `rename(Id, Name)`, `set(Id, Attribute, Value)`, `delete(Id)`."""
+        try:
+            told = statements.parse(statement, author=author, reason=reason, stamp_ns=self.graph.stamp_ns)
+            changes = self._meaning.accept(told, self.graph)
+        except InvalidStatement as error:
+            return TellResult(False, self.graph.revision, statements.problem(error))
+        self.statements.append(told)
+        return TellResult(True, self._commit(changes, told.stamp_ns).revision)
+
+    def status(self) -> dict[str, Any]:
+        """Sizes of every layer and of the graph, and the health of the reasoner."""
+        return {
+            "revision": self.graph.revision,
+            "stamp_ns": self.graph.stamp_ns,
+            "layers": {
+                name: {"blocks": len(layer.block_ijk), "memory_bytes": layer.memory_bytes, "voxel_size_m": layer.voxel_size_m}
+                for name, layer in self.map.layers.items()
+            },
+            "planes": len(self.map.planes),
+            "nodes": {layer: len(self.graph.nodes(layer)) for layer in ("building", "room", "structure", "object", "agent")},
+            "edges": self.graph.n_edges,
+            "classes": [c.name for c in self.labels.classes],
+            "facts": len(self._knowledge),
+            "reasoner": {"pid": self._knowledge.engine.pid, "restarts": self._knowledge.engine.restarts},
+            "waiting_detections": self._desk.waiting,
+        }
+
+    # -- life ---------------------------------------------------------------------------------------------
+    def save(self, path: str | Path) -> None:
+        """Write the world to one file, whole or not at all."""
+        storing.save(self, Path(path))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a world that `save` wrote. Raises `StoreError` when the file is damaged, foreign or too new."""
+        return storing.load(cls, Path(path))
+
+    def close(self) -> None:
+        """End the reasoner's process."""
+        self._knowledge.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _source(observation: RgbdImage | Scan | Detections) -> str:
+    return f"{observation.robot}/{observation.sensor}@{observation.stamp_ns}"
+
+
