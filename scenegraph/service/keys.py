@@ -74,29 +74,33 @@ def chunk(name: str, what: str = "name") -> str:
     return name
 
 
-def key(world: str, *rest: str) -> str:
-    """`scenegraph/v1/{world}/{rest…}`; every part must be a plain chunk, or a fixed path of ours such as `map/tsdf`."""
-    return "/".join((PREFIX, chunk(world, "world"), *(chunk(part) for path in rest for part in path.split("/"))))
+def key(world: str, path: str = "") -> str:
+    """`scenegraph/v1/{world}/{path}`, where the path is one of ours, such as `map/tsdf`."""
+    return _joined(world, *path.split("/")) if path else f"{PREFIX}/{chunk(world, 'world')}"
+
+
+def _joined(world: str, *chunks: str) -> str:
+    return "/".join((PREFIX, chunk(world, "world"), *map(chunk, chunks)))
 
 
 def everything(world: str, under: str = "") -> str:
     """The expression of all keys of a world, or of those under one of its branches."""
-    return f"{key(world, under) if under else key(world)}/**"
+    return f"{key(world, under)}/**"
 
 
 def node(world: str, layer: str, node_id: str) -> str:
     """The key of one node."""
-    return key(world, "graph", "nodes", layer, node_id)
+    return _joined(world, "graph", "nodes", layer, node_id)
 
 
 def edge(world: str, relation: str, source: str, target: str) -> str:
     """The key of one edge."""
-    return key(world, "graph", "edges", relation, source, target)
+    return _joined(world, "graph", "edges", relation, source, target)
 
 
 def alive(world: str, service: str) -> str:
     """The liveliness token of one service of a world."""
-    return key(world, "alive", service)
+    return _joined(world, "alive", service)
 
 
 def alive_everywhere() -> str:
@@ -143,9 +147,9 @@ def input_key(world: str, observation: Observation) -> str:
         raise InvalidKey(f"expected an observation ({', '.join(_KIND_OF)}), got {type(observation).__name__}")
     robot = getattr(observation, "robot", None) or ANY_CHUNK
     if isinstance(observation, RobotDescription):
-        return key(world, "in", robot, kind)
+        return _joined(world, "in", robot, kind)
     sensor = getattr(observation, "sensor", None) or (ANY_CHUNK if isinstance(observation, LabelSpace) else "base")
-    return key(world, "in", robot, sensor, kind)
+    return _joined(world, "in", robot, sensor, kind)
 
 
 def row_of(observation: Observation) -> str:

@@ -24,7 +24,7 @@ from scenegraph.errors import Problem, problem_of
 from scenegraph.graph import Delta, SceneGraph
 from scenegraph.service import exports, keys, replies
 from scenegraph.service.arrays import LIMITS, Limits
-from scenegraph.service.codec import Form, form_of, media_type
+from scenegraph.service.codec import Form, media_type
 from scenegraph.service.errors import EndpointUnavailable, InvalidMessage, Overloaded, ServiceError
 from scenegraph.service.feed import GraphFeed
 from scenegraph.service.health import Causes, RequestTimes
@@ -105,6 +105,8 @@ class Server:
         self._causes = Causes()
         self._replies = threading.BoundedSemaphore(self._bounds.replies)
         self._stopping = threading.Event()
+        self._asked_to_stop = False
+        self._life = threading.Lock()
         self._began = time.monotonic()
         self._busy_since: float | None = None
         self._world_status: dict[str, Any] = {}
@@ -138,33 +140,34 @@ class Server:
         return self
 
     def stop(self, timeout_s: float = 20.0) -> None:
-        """Take nothing more in, work off what is waiting, and end. Safe to call twice."""
-        if self._session is None or self._stopping.is_set():
+        """Take nothing more in, work off what is waiting, and end. Safe to call twice, and from several threads."""
+        with self._life:
+            session = self._session
+            if session is None or self._stopping.is_set():
+                self._stopping.set()
+                return
+            self._token.undeclare()  # type: ignore[no-untyped-call]
             self._stopping.set()
-            return
-        self._token.undeclare()  # type: ignore[no-untyped-call]
-        self._stopping.set()
-        self._intake.wake()
-        self._worker.join(timeout_s)
-        self._feed.stop()
-        self._pool.shutdown(wait=True)
-        self._session.close()  # type: ignore[no-untyped-call]
-        log.info("stopped serving %s", self.name)
+            self._intake.wake()
+            self._worker.join(timeout_s)
+            self._feed.stop()
+            self._pool.shutdown(wait=True)
+            session.close()  # type: ignore[no-untyped-call]
+            log.info("stopped serving %s", self.name)
 
     def run(self) -> None:
-        """Serve until another thread calls `stop` or the program is interrupted."""
+        """Serve until `stop` or `request_stop` is called or the program is interrupted."""
         if self._session is None:
             self.start()
         try:
-            while not self._stopping.wait(0.5):
+            while not (self._asked_to_stop or self._stopping.wait(0.2)):
                 pass
         finally:
             self.stop()
 
     def request_stop(self) -> None:
-        """Let `run` return; callable from a signal handler."""
-        self._intake.wake()
-        threading.Thread(target=self.stop, name="stop").start()
+        """Let `run` end; does nothing else, so that a signal handler may call it."""
+        self._asked_to_stop = True
 
     def __enter__(self) -> Self:
         return self.start()
@@ -492,12 +495,10 @@ def _reply_form(query: zenoh.Query) -> Form:
     wanted = query.parameters.get("format")
     if wanted == "cbor" or wanted == "json":
         return "cbor" if wanted == "cbor" else "json"
-    if query.payload is None:
-        return "json"
-    try:
-        return form_of(str(query.encoding or ""), query.payload.to_bytes()[:64])[0]
-    except InvalidMessage:
-        return "json"
+    encoding = str(query.encoding or "")
+    if query.payload is not None and not encoding.startswith(("application/cbor", "application/json")):
+        return "cbor" if 0xA0 <= query.payload.to_bytes()[:1].ljust(1)[0] < 0xC0 else "json"  # a CBOR mapping
+    return "cbor" if encoding.startswith("application/cbor") else "json"
 
 
 def _check_belongs(stream: keys.Input, observation: Any) -> None:

@@ -61,7 +61,7 @@ class FakeWorld:
             changes.put(Edge(relation="on", source=f"cup_{n}", target="table_1", first_seen_ns=1, last_seen_ns=1))
         if isinstance(observation, AgentPose) and "cup_2" in self.graph:
             changes.delete_node("cup_2", "taken away")
-        return self.graph.commit(changes, observation.stamp_ns)
+        return self.graph.commit(changes, getattr(observation, "stamp_ns", 1))
 
     def ask(self, goal: str, *, robot=None, limit: int = 100, timeout_s: float = 1.0, at_ns=None) -> FakeAnswers:
         self.threads.add(threading.get_ident())
@@ -74,7 +74,7 @@ class FakeWorld:
         rows = [{"X": n, "N": len(n.label)} for n in found[:limit]]
         return FakeAnswers("true" if found else "false", rows, truncated=len(found) > limit)
 
-    def where(self, phrase: str) -> Any:
+    def where(self, phrase: str, *, robot=None) -> Any:
         pose = SimpleNamespace(pose=SE3.identity(), clearance_m=0.5, path_length_m=float("inf"))
         square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
         region = SimpleNamespace(polygon=square, z_min=0.0, z_max=2.0)
