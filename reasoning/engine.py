@@ -244,7 +244,7 @@ class _Prolog:
             flags = core.CVT_STRING | core.REP_UTF8 | core.BUF_MALLOC
             if not self._get_chars(arguments + 2, ctypes.byref(size), ctypes.byref(text), flags):
                 return b'["problem","engine_error",{"s":"the engine gave no text"},{"s":""}]'
-            reply = ctypes.string_at(text, size.value)  # type: ignore[arg-type]
+            reply = ctypes.string_at(text, size.value)
             core._lib.PL_free(text)
             return reply
         finally:

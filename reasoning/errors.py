@@ -1,12 +1,12 @@
 """What can go wrong when the rule base is loaded, fed or asked.
 
 ```
-ReasoningError                    code "reasoning"
-├── InvalidTerm (ValueError)      code "invalid_term"     a Python value that has no Prolog counterpart, or text that is not a term
-├── InvalidFact (ValueError)      code "invalid_fact"     a fact outside the vocabulary of facts
-├── InvalidRules (ValueError)     code "invalid_rules"    a rule file with an error or a warning
-├── GoalFailed                    code from the engine    a trusted call raised, ran out of time or memory
-└── EngineUnavailable             code "engine_unavailable"  the Prolog process could not be started
+ReasoningError             "reasoning"
+├── InvalidTerm            "invalid_term": a Python value without a Prolog counterpart (also a ValueError)
+├── InvalidFact            "invalid_fact": a fact outside the vocabulary of facts (also a ValueError)
+├── InvalidRules           "invalid_rules": a rule file with an error or a warning (also a ValueError)
+├── GoalFailed             a trusted call raised, or ran out of time or memory: the code says which
+└── EngineUnavailable      "engine_unavailable": the Prolog process could not be started, or was closed
 ```
 
 A goal that a *user* asks never raises: its reply carries a `Problem` with the same three fields.

@@ -36,6 +36,11 @@ possible; negation swaps the two.
 
 longest_goal(20_000).
 
+%   Questions are read without the operators that are declarations in Prolog and furniture in a home.
+:- forall(member(Word, [table, dynamic, discontiguous, initialization, meta_predicate, module_transparent, multifile,
+                        public, thread_local, thread_initialization, volatile, tnot]),
+          ( op(0, fx, question:Word), op(0, fy, question:Word) )).
+
 %!  read_goal(+Text:string, -Goal, -Bindings, -Names) is det.
 %
 %   Names is a list of Name=Variable for all variables, Bindings that for the
@@ -51,7 +56,7 @@ read_goal(Text, Goal, Bindings, All) :-
     ;   throw(problem(resource_limit, "the goal is longer than 20 000 characters", ""))
     ),
     tidy(Text, Tidy),
-    term_string(Term, Tidy, [ module(vocabulary), variable_names(All), syntax_errors(error),
+    term_string(Term, Tidy, [ module(question), variable_names(All), syntax_errors(error),
                               double_quotes(string), cycles(false) ]),
     maplist(not_a_class, All),
     check(Term, Goal),

@@ -137,13 +137,19 @@ plural_ending(es, '').
 plural_ending(s, '').
 
 %   A word for which another is in use here stands for the other.
+noun_class(Noun, Noun) :-
+    instance_of(_, Noun),
+    !.
 noun_class(Noun, Class) :-
     synonym(Noun, Class),
-    \+ once(instance_of(_, Noun)),
-    known_class(Class),
+    instance_of(_, Class),
     !.
 noun_class(Noun, Noun) :-
-    ( known_class(Noun) -> true ; once(instance_of(_, Noun)) ).
+    known_class(Noun),
+    !.
+noun_class(Noun, Class) :-
+    synonym(Noun, Class),
+    known_class(Class).
 
 synonym(A, B) :- same(A, B).
 synonym(A, B) :- same(B, A).

@@ -18,7 +18,7 @@ def home() -> Iterator[KnowledgeBase]:
         yield knowledge
 
 
-@pytest.fixture()
+@pytest.fixture
 def fresh() -> Iterator[KnowledgeBase]:
     """The small home in a process of its own."""
     with KnowledgeBase() as knowledge:

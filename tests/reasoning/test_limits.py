@@ -71,7 +71,9 @@ def test_what_reaches_outside_is_forbidden(home: KnowledgeBase, goal: str) -> No
     assert (reply.truth, reply.answers) == ("unknown", ())
 
 
-@pytest.mark.parametrize("goal", ["repeat, fail", "between(1, inf, _), fail", "between(1, inf, X), X < 0", "length(L, _), fail"])
+@pytest.mark.parametrize(
+    "goal", ["repeat, fail", "between(1, inf, _), fail", "between(1, inf, X), X < 0", "length(L, _), fail"]
+)
 def test_an_endless_goal_times_out(home: KnowledgeBase, goal: str) -> None:
     started = time.monotonic()
     reply = home.ask(goal, timeout_s=0.2)
@@ -97,7 +99,9 @@ def test_the_number_of_answers_is_limited(home: KnowledgeBase) -> None:
     assert not home.ask("between(1, 5, X)", limit=5).truncated
 
 
-@pytest.mark.parametrize("goal", ["length(L, 100_000_000)", "findall(X, between(1, inf, X), L)", "X is 7 ** (7 ** (7 ** 7))"])
+@pytest.mark.parametrize(
+    "goal", ["length(L, 100_000_000)", "findall(X, between(1, inf, X), L)", "X is 7 ** (7 ** (7 ** 7))"]
+)
 def test_a_memory_bomb_is_a_problem(fresh: KnowledgeBase, goal: str) -> None:
     reply = fresh.ask(goal, timeout_s=2.0)
     assert reply.problem is not None
@@ -125,7 +129,9 @@ def test_a_deep_goal_is_refused_or_answered_but_harmless(home: KnowledgeBase) ->
 
 def test_a_killed_worker_is_replaced_and_knows_everything_again(fresh: KnowledgeBase) -> None:
     fresh.update(deleted=[fact("label", "tv_1", "tv")], forget=["sofa_1"])
-    before = {goal: fresh.ask(goal) for goal in ("on(X, Y)", "in(X, kitchen)", "near(chair, oven)", "instance_of(X, tv)")}
+    before = {
+        goal: fresh.ask(goal) for goal in ("on(X, Y)", "in(X, kitchen)", "near(chair, oven)", "instance_of(X, tv)")
+    }
     assert fresh.engine.pid is not None
     os.kill(fresh.engine.pid, 9)
     after = {goal: fresh.ask(goal) for goal in before}

@@ -69,7 +69,7 @@ def test_every_term_comes_back_as_it_was(home: KnowledgeBase, term: Term) -> Non
         [],
         Atom(""),
         "",
-        Atom("it's \"quoted\" \\ and `so`"),
+        Atom('it\'s "quoted" \\ and `so`'),
         "line\nbreak\ttab\0nul\x7f",
         Atom("\0"),
         Atom("naïve 日本 🤖 \u2028"),
@@ -113,7 +113,9 @@ def test_a_variable_stays_a_variable(home: KnowledgeBase) -> None:
     assert one == two != three
 
 
-@pytest.mark.parametrize("value", [math.nan, True, None, b"bytes", (1, 2), {"a": 1}, "\ud800", Atom("\udfff")], ids=repr)
+@pytest.mark.parametrize(
+    "value", [math.nan, True, None, b"bytes", (1, 2), {"a": 1}, "\ud800", Atom("\udfff")], ids=repr
+)
 def test_what_has_no_prolog_counterpart_is_refused(value: object) -> None:
     with pytest.raises(InvalidTerm):
         term_text([value])  # type: ignore[list-item]

@@ -66,6 +66,7 @@ def values(knowledge: KnowledgeBase, goal: str, name: str = "X") -> set[str]:
         ("larger(X, sofa)", set()),
         ("gap(cup_1, oven_1, X)", {"0.4"}),
         ("?- on(X, book).", {"mug_1"}),
+        ("X = table-table", {"'-'(table,table)"}),  # no declaration here, but furniture
     ],
 )
 def test_what_is_found(home: KnowledgeBase, goal: str, found: set[str]) -> None:
