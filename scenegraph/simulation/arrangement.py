@@ -167,8 +167,8 @@ class Arrangement:
         return None
 
     def upon(
-        self, make: Maker, bearer: Placed | None, *, level: int | None = None, yaw: float = np.pi, margin: float = 0.012,
-        at: tuple[float, float] | None = None,
+        self, make: Maker, bearer: Placed | None, *, level: int | None = None, yaw: float = np.pi,
+        margin: float = 0.012, at: tuple[float, float] | None = None,
     ) -> Placed | None:  # fmt: skip
         """On (or in) `bearer`: on its surface number `level`, or any; turned by up to `yaw` against it.
 
@@ -227,7 +227,7 @@ class Arrangement:
 
     # -- judging ------------------------------------------------------------------------------------------
     def free_floor(self, clearance: float = ROBOT_RADIUS_M + 0.05) -> Any:
-        """Where the middle of a robot may be: the room, and the passages beyond its walls, less what stands in the way."""
+        """Where the middle of a robot may be: the room less what stands in its way."""
         return free_floor(self.plan, [self.room], self.things, clearance)
 
     def passable(self) -> bool:

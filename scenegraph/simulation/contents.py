@@ -16,7 +16,7 @@ _ATTEMPTS = 40
 
 
 def furnish(rng: Generator, plan: FloorPlan, room: RoomPlan) -> list[Placed]:
-    """Fills a room; of several attempts the first in which all large things found a place and the robot gets through."""
+    """Fills a room: the first of several attempts in which all large things find a place and the robot gets through."""
     best: list[Placed] = []
     for _ in range(_ATTEMPTS):
         arrangement = Arrangement(rng, plan, room)
@@ -72,14 +72,13 @@ def _kitchen(a: Arrangement) -> bool:
     counter = a.against_wall(f.counter)
     if counter is None:
         return False
-    oven = a.against_wall(f.oven, beside=counter)
+    oven = a.against_wall(f.oven, beside=counter, sides=[_side_of(a, counter)])
     fridge = a.against_wall(f.fridge)
     table = a.on_floor(f.table, margin=0.3, aligned=a.rng.random() < 0.4, inset=0.8)
     if table is None or oven is None or fridge is None:
         return False
-    sides = ("south", "north", "west", "east")
     a.against_wall(f.wall_cabinet, beside=counter, height=a.rng.uniform(1.42, 1.5), sides=[_side_of(a, counter)])
-    return _chairs(a, table, f.chair, 4) >= 3 and a.against_wall(t.trash_bin, sides=sides, gap=0.05) is not None
+    return _chairs(a, table, f.chair, 4) >= 3 and a.against_wall(t.trash_bin, gap=0.05) is not None
 
 
 def _side_of(a: Arrangement, thing: Placed) -> Side:

@@ -1,7 +1,7 @@
 """Rooms, walls, doors and windows of a home, in the home's own axis-aligned frame (x along the hallway, z up).
 
-A hallway runs along x between a southern and a northern row of rooms. Kitchen and living room are neighbours, joined by
-a wide opening without a door; the others are joined to the hallway by doors that stand ajar, are closed, or are missing.
+A hallway runs along x between a southern and a northern row of rooms. Kitchen and living room are neighbours, joined
+by a wide opening without a door; all are joined to the hallway by doors that stand ajar, are closed, or are missing.
 """
 
 from __future__ import annotations
@@ -144,8 +144,8 @@ def _holes(rng: Generator, plan: FloorPlan, south: list[str], north: list[str]) 
         angle = float(rng.uniform(1.35, 1.75)) if door == "ajar" else 0.0
         holes.append(
             Hole(
-                f"door_{len(holes)}", "door", door, ((kind, into), ("hallway", hall)), start, start + w, 0.0, DOOR_HEIGHT_M,
-                hinge_at_start=at_start, angle=angle,
+                f"door_{len(holes)}", "door", door, ((kind, into), ("hallway", hall)), start, start + w, 0.0,
+                DOOR_HEIGHT_M, hinge_at_start=at_start, angle=angle,
             )
         )  # fmt: skip
     hallway = plan.room("hallway")
@@ -153,15 +153,11 @@ def _holes(rng: Generator, plan: FloorPlan, south: list[str], north: list[str]) 
     y = (hallway.y0 + hallway.y1) / 2 - 0.45
     holes.append(Hole(f"door_{len(holes)}", "door", "closed", (("hallway", end),), y, y + 0.9, 0.0, DOOR_HEIGHT_M))
 
-    n_windows = 0
-    for kind in (*south, *north):
+    for n, kind in enumerate((*south, *north)):
         room = plan.room(kind)
-        n_windows += 1
         w = rng.uniform(0.6, 0.8) if kind == "bathroom" else rng.uniform(1.0, 1.5)
         x = rng.uniform(room.x0 + 0.4, room.x1 - 0.4 - w)
         side: Side = "south" if kind in south else "north"
         low = rng.uniform(1.2, 1.3) if kind == "bathroom" else rng.uniform(0.95, 1.1)
-        holes.append(
-            Hole(f"window_{n_windows}", "window", None, ((kind, side),), x, x + w, low, rng.uniform(1.95, 2.1))
-        )
+        holes.append(Hole(f"window_{n + 1}", "window", None, ((kind, side),), x, x + w, low, rng.uniform(1.95, 2.1)))
     return holes

@@ -18,22 +18,28 @@ from scenegraph.simulation.shapes import Array, Color
 from scenegraph.simulation.structure import TruePlane, build_structure
 
 if TYPE_CHECKING:
+    from scenegraph.simulation.relations import Relation
     from scenegraph.simulation.rendering import Lidar, Renderer
     from scenegraph.simulation.tour import Tour
     from scenegraph.simulation.truth import TruthRecorder
 
 STRUCTURE_CLASSES = ("wall", "floor", "ceiling", "door", "window")
-THING_CLASSES = (
+THING_CLASSES: tuple[str, ...] = (
     "apple", "armchair", "backpack", "ball", "basket", "bathtub", "bed", "bench", "bin", "book", "bottle",
-    "bowl", "box", "cabinet", "chair", "clock", "coffee_table", "counter", "cup", "cushion", "desk", "dresser", "fridge",
-    "kettle", "keyboard", "lamp", "laptop", "microwave", "mirror", "monitor", "nightstand", "office_chair", "orange", "oven",
-    "picture", "pillow", "plant", "plate", "pot", "printer", "shelf", "shoe", "sink", "sofa", "speaker", "stool", "table",
-    "teddy_bear", "toaster", "toilet", "towel", "toy_block", "tv", "tv_stand", "vase", "wardrobe", "washing_machine",
+    "bowl", "box", "cabinet", "chair", "clock", "coffee_table", "counter", "cup", "cushion", "desk", "dresser",
+    "fridge", "kettle", "keyboard", "lamp", "laptop", "microwave", "mirror", "monitor", "nightstand",
+    "office_chair", "orange", "oven", "picture", "pillow", "plant", "plate", "pot", "printer", "shelf", "shoe",
+    "sink", "sofa", "speaker", "stool", "table", "teddy_bear", "toaster", "toilet", "towel", "toy_block", "tv",
+    "tv_stand", "vase", "wardrobe", "washing_machine",
 )  # fmt: skip
 CONTAINER_CLASSES = frozenset({"basket", "bathtub", "bin", "bowl", "box", "pot", "sink"})
 _STRUCTURE_COLORS: dict[str, Color] = {
-    "wall": (190, 190, 180), "floor": (150, 120, 90), "ceiling": (240, 240, 240), "door": (140, 90, 50), "window": (150, 200, 240),
-}  # fmt: skip
+    "wall": (190, 190, 180),
+    "floor": (150, 120, 90),
+    "ceiling": (240, 240, 240),
+    "door": (140, 90, 50),
+    "window": (150, 200, 240),
+}
 
 Noise = Literal["none", "realistic"]
 
@@ -104,12 +110,13 @@ class TrueWindow:
 class Home:
     """A home in the map frame; `T_map_home` is the pose of its own axis-aligned frame.
 
-    The triangles of everything lie in one array, structure first: `vertices` (N, 3) float32 [m], `triangles` (M, 3), and
-    for each triangle its class id `triangle_class`, its entity `triangle_entity` (1 … as in `entities`; 0 = wall, floor,
-    ceiling), its true plane `triangle_plane` (-1 = none) and its colour.
+    The triangles of everything lie in one array, structure first: `vertices` (N, 3) float32 [m], `triangles` (M, 3),
+    and for each triangle its class id `triangle_class`, its entity `triangle_entity` (1 … as in `entities`; 0 = wall,
+    floor, ceiling), its true plane `triangle_plane` (-1 = none) and its colour.
     """
 
     seed: int
+    yaw: float
     T_map_home: SE3
     plan: FloorPlan
     placed: tuple[Placed, ...]
@@ -139,13 +146,24 @@ class Home:
 
         return Renderer(self)
 
-    def object(self, object_id: str) -> TrueObject:
+    def thing(self, object_id: str) -> TrueObject:
         """The thing of that id; `KeyError` when there is none."""
         return self._by_id[object_id]
 
     @cached_property
     def _by_id(self) -> dict[str, TrueObject]:
         return {o.id: o for o in self.objects}
+
+    def relations(self) -> frozenset[Relation]:
+        """All (relation, a, b) that hold: `on`, `in` (a thing, or a room), `above`, and `near` with a < b; found once."""
+        return frozenset(self.relation_values)
+
+    @cached_property
+    def relation_values(self) -> dict[Relation, float]:
+        """What was measured of each relation that holds: a share, a rise or a gap [m]."""
+        from scenegraph.simulation.relations import true_relations
+
+        return true_relations(self)
 
     def nearest_class(self, points: Array) -> Array:
         """Class id (N,) uint16 of the true surface closest to each point (N, 3) in map [m]."""
@@ -161,7 +179,7 @@ class Home:
         tour: Tour | None = None,
         recorder: TruthRecorder | None = None,
     ) -> Iterator[Observation]:
-        """What a robot on a tour sees: a `LabelSpace`, a `RobotDescription`, then an `AgentPose` and an `RgbdImage` a step.
+        """What a robot on a tour sees: `LabelSpace`, `RobotDescription`, then a step an `AgentPose` and an `RgbdImage`.
 
         Images are rendered one at a time, as they are asked for. `recorder` learns what was truly seen.
         """
@@ -186,26 +204,28 @@ class Home:
         return scan(self, T_map_sensor, noise=noise, seed=seed, stamp_ns=stamp_ns, lidar=lidar)
 
     def __reduce__(self) -> tuple[object, ...]:
-        return simulate_home, (self.seed,)
+        return simulate_home, (self.seed, self.yaw)
 
 
-def simulate_home(seed: int) -> Home:
-    """The home of that seed, always the same."""
+def simulate_home(seed: int, yaw: float | None = None) -> Home:
+    """The home of that seed, always the same, turned in the map by `yaw` [rad], or by an angle of its own."""
     rng = np.random.default_rng([seed, 20])
     plan = draw_floorplan(rng)
     placed: list[Placed] = []
     for room in plan.rooms:
         placed.extend(furnish(rng, plan, room))
-    yaw = float(rng.uniform(-np.pi, np.pi))
+    own_yaw = float(rng.uniform(-np.pi, np.pi))
+    yaw = own_yaw if yaw is None else float(yaw)
     turn = SE3.exp([0.0, 0.0, 0.0, 0.0, 0.0, yaw])
     middle = np.array([plan.width / 2, plan.depth / 2, 0.0])
     T_map_home = SE3(turn.rotation, -(turn @ middle[None])[0] + np.array([*rng.uniform(-1.0, 1.0, 2), 0.0]))
     tints = {r.id: (_tint(rng, (222, 214, 200), 18), _tint(rng, (165, 130, 95), 30)) for r in plan.rooms}
-    return _assemble(seed, T_map_home, plan, placed, tints)
+    return _assemble(seed, yaw, T_map_home, plan, placed, tints)
 
 
 def _tint(rng: np.random.Generator, base: Color, spread: int) -> Color:
-    r, g, b = (int(c + rng.integers(-spread, spread + 1)) for c in base)
+    lighter = rng.integers(-spread, spread + 1)
+    r, g, b = (int(c + lighter + rng.integers(-8, 9)) for c in base)
     return r, g, b
 
 
@@ -222,7 +242,7 @@ def _label_space() -> LabelSpace:
 
 
 def _assemble(
-    seed: int, T_map_home: SE3, plan: FloorPlan, placed: list[Placed], tints: dict[str, tuple[Color, Color]]
+    seed: int, yaw: float, T_map_home: SE3, plan: FloorPlan, placed: list[Placed], tints: dict[str, tuple[Color, Color]]
 ) -> Home:
     label_space = _label_space()
     ids = {info.name: key for key, info in label_space.classes.items()}
@@ -250,6 +270,7 @@ def _assemble(
         count += len(o.vertices)
     return Home(
         seed=seed,
+        yaw=yaw,
         T_map_home=T_map_home,
         plan=plan,
         placed=tuple(placed),

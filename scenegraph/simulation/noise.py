@@ -104,7 +104,7 @@ def bleed(out: Array, entities: Array, radius: Array, rank: Array, winner: Array
     out      (H, W) int32, at first a copy of `entities`
     entities (H, W) int32, 0 = background, which does not grow
     radius   (n + 1,) int64 how far each entity grows [px]
-    rank     (n + 1,) int64 > 0, who wins where several grow: the highest
+    rank     (n + 1,) int64, 0 for the background: an entity grows over those of lower rank, and the highest wins
     winner   (H, W) int64 of zeros: the rank that took each pixel
     """
     height, width = entities.shape
@@ -127,7 +127,7 @@ def bleed(out: Array, entities: Array, radius: Array, rank: Array, winner: Array
                     p, q = v + dv, u + du
                     if du * du + dv * dv > r * r or p < 0 or q < 0 or p >= height or q >= width:
                         continue
-                    if entities[p, q] != e and rank[e] > winner[p, q]:
+                    if rank[e] > rank[entities[p, q]] and rank[e] > winner[p, q]:
                         winner[p, q] = rank[e]
                         out[p, q] = e
 
@@ -171,7 +171,8 @@ class Segmenter:
         if high:
             radius = rng.integers(low, high + 1, n)
             seen = entities.copy()
-            bleed(seen, entities, radius, rng.permutation(n) + 1, np.zeros(entities.shape, np.int64))
+            rank = np.append(0, rng.permutation(n - 1) + 1)
+            bleed(seen, entities, radius, rank, np.zeros(entities.shape, np.int64))
         missed = rng.random(n) < self.noise.missed
         wrong = rng.random(n) < self.noise.mislabelled
         given = self.persistent.copy()

@@ -60,7 +60,7 @@ def observe(
     tour: Tour | None,
     recorder: TruthRecorder | None,
 ) -> Iterator[Observation]:
-    """See `Home.observe`. Raises `InvalidParameter` on an unknown kind of noise or a rate ≤ 0, before the first item."""
+    """See `Home.observe`. Raises `InvalidParameter` on an unknown kind of noise or a rate ≤ 0, at once."""
     model = noise_model(noise)
     if not rate_hz > 0.0:
         raise InvalidParameter(f"rate_hz: expected a rate > 0 Hz, got {rate_hz!r}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class Lidar:
     range_m: float = 20.0
 
     def directions(self) -> Array:
-        """(rings · columns, 3) float32 unit vectors in the sensor frame (x forward, z up), ring by ring from the lowest."""
+        """(rings · columns, 3) float32 unit vectors in the sensor frame (x forward, z up), from the lowest ring up."""
         elevation = np.linspace(self.lowest, self.highest, self.rings)[:, None]
         azimuth = np.linspace(-np.pi, np.pi, self.columns, endpoint=False)[None, :]
         flat = np.cos(elevation)
@@ -62,7 +62,7 @@ class Renderer:
     def __init__(self, home: Home) -> None:
         import open3d as o3d
 
-        self._tensor = o3d.core.Tensor
+        self._tensor: Any = o3d.core.Tensor
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(self._tensor(home.vertices), self._tensor(home.triangles))
         self._labels = np.append(home.triangle_class, np.uint16(0))  # one more, for rays that hit nothing
@@ -78,7 +78,7 @@ class Renderer:
         self._rays: dict[CameraIntrinsics, Array] = {}
 
     def cast(self, origins: Array, directions: Array) -> tuple[Array, Array]:
-        """First hits of rays (N, 3), (N, 3): distance in lengths of the direction (inf: none), and triangle (-1: none)."""
+        """First hits of rays (N, 3), (N, 3): distance in lengths of the direction (inf: none), triangle (-1: none)."""
         rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=-1).astype(np.float32)
         hits = self._scene.cast_rays(self._tensor(rays))
         distance = hits["t_hit"].numpy()

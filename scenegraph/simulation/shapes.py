@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,10 +22,8 @@ Color: TypeAlias = tuple[int, int, int]
 _BAND_M = 0.02  # height of the prisms that hold a surface of revolution
 
 _BOX_CORNERS = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
-_BOX_TRIANGLES = np.array(
-    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]],
-    dtype=np.int32,
-)  # fmt: skip
+_BOX_QUADS = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
+_BOX_TRIANGLES = np.array([t for a, b, c, d in _BOX_QUADS for t in ((a, b, c), (a, c, d))], dtype=np.int32)
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ class Solid:
 
 @dataclass(frozen=True)
 class Surface:
-    """A level place to stand on: the rectangle `lower` … `upper` (x, y) at height `z`, with `clearance` above it [m]."""
+    """A level place to stand on: the rectangle `lower` … `upper` (x, y) at height `z`, `clearance` above it [m]."""
 
     lower: tuple[float, float]
     upper: tuple[float, float]
@@ -128,7 +127,7 @@ class Shape:
         vertices = np.concatenate(rings)
         here, after = np.arange(sides), (np.arange(sides) + 1) % sides
         triangles = []
-        for k, ((r0, _), (r1, _)) in enumerate(zip(profile[:-1], profile[1:], strict=True)):
+        for k, ((r0, _), (r1, _)) in enumerate(pairwise(profile)):
             a, b, c, d = k * sides + here, k * sides + after, (k + 1) * sides + here, (k + 1) * sides + after
             if r0 > 0:
                 triangles.append(np.stack([a, b, c], axis=1))
@@ -137,14 +136,14 @@ class Shape:
         self._add(vertices, np.concatenate(triangles).astype(np.int32), color)
 
         section = shapely.Polygon(profile)
-        _, bottom, widest, top = section.bounds
+        widest = max(r for r, _ in profile)
         heights = sorted({round(z, 6) for _, z in profile})
         levels = [heights[0]]
         for z in heights[1:]:
             steps = max(1, int(np.ceil((z - levels[-1]) / _BAND_M)))
             levels.extend(np.linspace(levels[-1], z, steps + 1)[1:].tolist())
-        for low, high in zip(levels[:-1], levels[1:], strict=True):
-            band = section.intersection(shapely.box(0.0, low, widest, high))
+        for low, high in pairwise(levels):
+            band = section.intersection(shapely.box(0.0, low + 1e-6, widest, high - 1e-6))
             if band.area < 1e-9:
                 continue
             inner, _, outer, _ = band.bounds

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -106,8 +107,8 @@ class Patches:
             )  # fmt: skip
         us = sorted({0.0, extent[0], *(h[0] for h in holes), *(h[2] for h in holes)})
         vs = sorted({0.0, extent[1], *(h[1] for h in holes), *(h[3] for h in holes)})
-        for a, c in zip(us[:-1], us[1:], strict=True):
-            for b, d in zip(vs[:-1], vs[1:], strict=True):
+        for a, c in pairwise(us):
+            for b, d in pairwise(vs):
                 mu, mv = (a + c) / 2, (b + d) / 2
                 if not any(h[0] < mu < h[2] and h[1] < mv < h[3] for h in holes):
                     corners = np.array([origin + u * p + v * q for p, q in ((a, b), (c, b), (c, d), (a, d))])
@@ -116,8 +117,9 @@ class Patches:
     def box(self, corner: Array, edges: Array, label: str, color: Color, instance: str) -> None:
         """The six faces of the parallelepiped that `edges` (3, 3) span from `corner`."""
         a, b, c = edges
-        for start, u, v in ((corner, a, b), (corner + c, a, b), (corner, a, c), (corner + b, a, c), (corner, b, c), (corner + a, b, c)):  # fmt: skip
-            self.quad(np.array([start, start + u, start + u + v, start + v]), label, color, instance)
+        for u, v, w in ((a, b, c), (a, c, b), (b, c, a)):
+            for start in (corner, corner + w):
+                self.quad(np.array([start, start + u, start + u + v, start + v]), label, color, instance)
 
 
 def build_structure(plan: FloorPlan, tints: dict[str, tuple[Color, Color]]) -> Patches:
@@ -130,7 +132,8 @@ def build_structure(plan: FloorPlan, tints: dict[str, tuple[Color, Color]]) -> P
         size = (room.x1 - room.x0, room.y1 - room.y0)
         corner = np.array([room.x0, room.y0, 0.0])
         out.rectangle(corner, x, y, size, "floor", floor, normal=up, kind="floor", source=room.id)
-        out.rectangle(corner + up * room.height, x, y, size, "ceiling", (245, 245, 242), normal=-up, kind="ceiling", source=room.id)  # fmt: skip
+        white, high = (245, 245, 242), corner + up * room.height
+        out.rectangle(high, x, y, size, "ceiling", white, normal=-up, kind="ceiling", source=room.id)
         for side in _SIDES:
             _wall(out, plan, room, side, wall)
     for hole in plan.holes:
@@ -207,7 +210,7 @@ def _frame_bars(w: float, h: float, broad: float, *, sill: bool) -> list[tuple[t
 
 
 def leaf_axes(hole: Hole, origin: Array, along: Array, normal: Array) -> tuple[Array, Array, Array]:
-    """Of a leaf that stands ajar: the corner at its hinge (3,), its direction (3,) and its thickness' direction (3,)."""
+    """Of a leaf that stands ajar: the corner at its hinge, its direction and that of its thickness, each (3,)."""
     sign = 1.0 if hole.hinge_at_start else -1.0
     hinge = origin + along * (hole.start if hole.hinge_at_start else hole.end)
     direction = along * sign * np.cos(hole.angle) + normal * np.sin(hole.angle)
