@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import threading
+import time
 from collections import deque
 
 from scenegraph.errors import Problem
@@ -12,19 +14,26 @@ __all__ = ["Causes", "RequestTimes"]
 
 _MAX_CAUSES = 500
 _REMEMBERED = 256
+_BURST, _A_SECOND = 100, 20
+_NUMBERS = re.compile(r"-?[\d.]+(e[-+]?\d+)?")
 
 
 class Causes:
-    """Causes of refusal, counted: same place, same code, same field. At most 500; the oldest are forgotten."""
+    """Causes of refusal, counted: same place, same code, same message but for its numbers.
+
+    At most 500 are known, the oldest are forgotten; at most 20 a second are told (100 at once), the others are counted
+    only: who invents causes fills neither the memory nor the line.
+    """
 
     def __init__(self) -> None:
+        self._tellable, self._told_at = float(_BURST), time.monotonic()
         self._causes: dict[tuple[str, str, str], Refusal] = {}
         self._lock = threading.Lock()
         self.total = 0
 
     def add(self, source: str, problem: Problem) -> Refusal | None:
         """Count one more refusal; returns it when its cause is new, and so is to be told."""
-        cause = (source, problem.code, problem.message.partition(":")[0][:80])
+        cause = (source, problem.code, _NUMBERS.sub("#", problem.message.partition(" (value")[0])[:200])
         with self._lock:
             self.total += 1
             known = self._causes.pop(cause, None)
@@ -34,7 +43,16 @@ class Causes:
             self._causes[cause] = refusal
             if len(self._causes) > _MAX_CAUSES:
                 del self._causes[next(iter(self._causes))]
-        return refusal if known is None else None
+            return refusal if known is None and self._may_tell() else None
+
+    def _may_tell(self) -> bool:
+        now = time.monotonic()
+        self._tellable = min(_BURST, self._tellable + _A_SECOND * (now - self._told_at))
+        self._told_at = now
+        if self._tellable < 1.0:
+            return False
+        self._tellable -= 1.0
+        return True
 
     def all(self) -> tuple[Refusal, ...]:
         """The causes, the one met last at the end."""

@@ -173,9 +173,14 @@ def test_a_cause_is_told_once_and_counted():
     assert causes.add("in/b", Problem(code="invalid_observation", message="Scan.points: bad")) is not None
     assert [refusal.count for refusal in causes.all()] == [2, 1]
     assert causes.total == 3
-    for n in range(1000):
-        causes.add(f"in/{n}", Problem(code="x", message="y"))
+
+
+def test_who_invents_causes_fills_neither_the_memory_nor_the_line():
+    causes = Causes()
+    told = [causes.add(f"in/{n}", Problem(code="x", message="y")) for n in range(1000)]
     assert len(causes.all()) <= 500
+    assert causes.total == 1000
+    assert 100 <= sum(refusal is not None for refusal in told) < 200
 
 
 def test_request_times_are_figures_of_the_latest():
