@@ -26,6 +26,7 @@ LAYER_FORMATS: dict[str, tuple[str, ...]] = {
     "tsdf": ("npz", "ply"),
     "esdf": ("npz",),
     "semantics": ("npz", "ply"),
+    "instances": ("npz",),
 }
 """What each layer can be had as; the first is the default. `ply` of the TSDF is its mesh, of the others points."""
 

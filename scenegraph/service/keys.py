@@ -59,7 +59,7 @@ INPUT_KINDS: dict[str, str] = {
 
 _KIND_OF = {model: kind for kind, model in INPUT_KINDS.items()}
 
-MAP_LAYERS = ("occupancy", "tsdf", "esdf", "semantics")
+MAP_LAYERS = ("occupancy", "tsdf", "esdf", "semantics", "instances")
 
 _CHUNK = re.compile(r"[a-z][a-z0-9_]*")
 _MAX_CHUNK = 128

@@ -88,7 +88,9 @@ PointRows: TypeAlias = Annotated[
 ]
 VectorRows: TypeAlias = Annotated[NDArray[Any], _numbers(("float32",), (None, 3)), _described("(N, 3) float32")]
 ValueColumn: TypeAlias = Annotated[
-    NDArray[Any], _numbers(("float32", "uint16"), (None,)), _described("(N,) float32, or uint16 class ids")
+    NDArray[Any],
+    _numbers(("float32", "uint16", "uint32"), (None,)),
+    _described("(N,) float32, or uint16 class ids, or uint32 instance ids"),
 ]
 FloatColumn: TypeAlias = Annotated[NDArray[Any], _numbers(("float32",), (None,)), _described("(N,) float32")]
 KnownColumn: TypeAlias = Annotated[NDArray[Any], _numbers(("bool",), (None,)), _described("(N,) bool")]
@@ -223,7 +225,8 @@ class MapQuery(Message):
 class MapValues(Message):
     """A value a point; where `known` is false nothing was ever observed and the value means nothing.
 
-    occupancy: probability; tsdf, esdf: signed distance [m]; semantics: class id, with `confidence`
+    occupancy: probability; tsdf, esdf: signed distance [m]; semantics: class id, with `confidence`;
+    instances: number of the instance
     """
 
     layer: str

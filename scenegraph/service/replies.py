@@ -160,6 +160,9 @@ def map_values(name: str, layer: Any, query: MapQuery) -> MapValues:
         labels = np.asarray(labels).astype(np.uint16, copy=False)
         confidence = np.asarray(confidence).astype(np.float32, copy=False)
         return MapValues(layer=name, values=labels, known=labels > 0, confidence=np.nan_to_num(confidence))
+    if name == "instances":
+        ids = np.asarray(layer.query(points)).astype(np.uint32, copy=False)
+        return MapValues(layer=name, values=ids, known=ids > 0)
     gradient = None
     if query.gradient and name == "esdf":
         values, gradient = layer.query(points, gradient=True)
