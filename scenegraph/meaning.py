@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, cast
+from typing import Any
 
 from mapping.observations import ClassInfo
 from reasoning.knowledge import KnowledgeBase
@@ -13,6 +13,7 @@ from scenegraph.answers import Answers
 from scenegraph.config import WorldConfig
 from scenegraph.graph import Edge, GraphChanges, Node, SceneGraph
 from scenegraph.perception.relations import MeasurementChange
+from scenegraph.perception.structure import rules_labeller
 from scenegraph.statements import Statement
 
 DERIVED = frozenset({"on", "supports", "in", "contains", "above", "under", "near", "touching"})
@@ -26,6 +27,7 @@ class Meaning:
         self.knowledge = knowledge
         self._told: dict[tuple[str, str], dict[str, Compound]] = {}
         self._facts_of: dict[str, frozenset[Compound]] = {}
+        self.label_planes = rules_labeller(knowledge)
         self._containers: dict[str, bool] = {}
         self._structural: dict[str, bool] = {}
         knowledge.update(
@@ -54,14 +56,6 @@ class Meaning:
         if label not in cache:
             cache[label] = bool(self.knowledge.call(goal(Atom(facts.class_atom(label))), limit=1))
         return cache[label]
-
-    # -- planes -------------------------------------------------------------------------------------------
-    def label_planes(self, planes: Sequence[Compound], relations: Sequence[Compound]) -> dict[int, str]:
-        """Labels of planes from the constraint network in `rules/structure.pl`."""
-        goal = Compound("label_planes", (list(planes), list(relations), Var("Labels")))
-        [answer] = self.knowledge.call(goal)
-        pairs = (pair.args for pair in cast(list[Compound], answer["Labels"]))
-        return {int(cast(int, plane)): str(label) for plane, label in pairs}
 
     # -- the graph ----------------------------------------------------------------------------------------
     def infer(

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 Array: TypeAlias = NDArray[Any]
 
 BUILDING = "building_1"
-EVIDENCE_SAMPLES = 200
 
 
 class Perception:
@@ -98,15 +97,11 @@ class Perception:
             )  # fmt: skip
         return changes
 
-    def _evidence(self, plane: Plane) -> dict[str, float]:
-        """Shares of the classes among the labelled voxels of a plane."""
-        points = self._map.planes.samples(plane.id, EVIDENCE_SAMPLES)
+    def _evidence(self, points: Array) -> dict[str, float]:
+        """Shares of the points (N, 3) on a plane that carry each class; what carries no label is left out."""
         labels, _ = self._map.semantics.query(points)
-        labels = labels[labels > 0]
-        if 4 * len(labels) < len(points):
-            return {}
-        ids, counts = np.unique(labels, return_counts=True)
-        return {class_atom(self._labels.name(int(i))): n / len(labels) for i, n in zip(ids, counts.tolist(), strict=True)}
+        ids, counts = np.unique(labels[labels > 0], return_counts=True)
+        return {class_atom(self._labels.name(int(i))): n / len(points) for i, n in zip(ids, counts.tolist(), strict=True)}
 
     def _labelled_planes(self, changes: GraphChanges) -> list[tuple[str, Plane]]:
         put = {s.id: s.label for s in changes.steps if isinstance(s, Node) and s.id.startswith("plane_")}

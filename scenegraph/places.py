@@ -1,0 +1,233 @@
+"""Where a phrase means, and where a robot can stand for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from mapping.geometry import SE3
+from mapping.kernels import regions as kernels
+from mapping.observations import RobotDescription
+from mapping.occupancy import FREE, OccupancyMap
+from reasoning.knowledge import KnowledgeBase, Phrase, Problem
+from reasoning.terms import Atom, Compound, Var
+from scenegraph.answers import GoalPose, Place, PlaceAnswer, Region
+from scenegraph.graph import Node, SceneGraph
+
+Array: TypeAlias = NDArray[Any]
+
+CELL_M = 0.05
+LEAST_HEIGHT_M = 0.08
+"""Obstacles lower than this are driven over: thresholds, rugs, noise of the floor."""
+DEFAULT_HEIGHT_M = 1.2
+STAND_OFF_M = 1.2
+"""How far from a thing a robot may stand for it."""
+WINDOW_M = 8.0
+"""Ways are looked for within this distance of robot and goal."""
+MOST_POSES = 5
+BESIDE = frozenset({"near", "next_to", "in_front_of", "behind", "left_of", "right_of", "under", "above", "on", "between"})
+
+
+class PlaceFinder:
+    """Turns a phrase or a goal into regions and reachable poses in the world as it stands."""
+
+    def __init__(
+        self, graph: SceneGraph, occupancy: OccupancyMap, knowledge: KnowledgeBase, robots: Mapping[str, RobotDescription],
+        robot_radius_m: float,
+    ) -> None:
+        self._graph = graph
+        self._occupancy = occupancy
+        self._knowledge = knowledge
+        self._robots = robots
+        self._radius_m = robot_radius_m
+
+    def find(self, phrase: str, robot: str | None) -> Place:
+        """See `World.where`."""
+        goal, variables, relation, problem = self._read(phrase)
+        if problem is not None:
+            return Place("unknown", phrase, problem=problem)
+        reply = self._knowledge.ask(goal, limit=20, timeout_s=1.0, viewer=None if robot is None else f"agent_{robot}")
+        if reply.problem is not None:
+            return Place("unknown", phrase, problem=reply.problem)
+        answers = []
+        for row in reply.answers:
+            names = variables or tuple(row)
+            nodes = [self._graph.node(t.name) for n in names if isinstance(t := row.get(n), Atom) and t.name in self._graph]
+            if nodes:
+                answers.append(self._place(nodes, relation, robot))
+        answers.sort(key=_rank)
+        definite = phrase.strip().lower().startswith(("the ", "near the ", "in the ", "on the ", "under the "))
+        ambiguous = tuple(a.nodes[0] for a in answers) if definite and len(answers) > 1 else ()
+        return Place(reply.truth, phrase, tuple(answers), ambiguous)
+
+    def _read(self, phrase: str) -> tuple[str, tuple[str, ...], str | None, Problem | None]:
+        """A goal, the variables it is about, the relation that leads from there to the place, or what is wrong."""
+        if "(" in phrase:
+            return phrase, (), None, None
+        understood: Phrase = self._knowledge.phrase(phrase)
+        if understood.problem is not None:
+            return "", (), None, understood.problem
+        return understood.goal, understood.variables, understood.relation if understood.kind == "place" else None, None
+
+    # -- regions ------------------------------------------------------------------------------------------
+    def _place(self, nodes: Sequence[Node], relation: str | None, robot: str | None) -> PlaceAnswer:
+        footprint, z_min, z_max = self._ground(nodes)
+        if relation in BESIDE and relation not in ("on", "under", "above"):
+            reach = max(self._near_distance(n) for n in nodes)
+            region = footprint.buffer(reach).difference(footprint)
+        else:
+            region = footprint
+        return PlaceAnswer(
+            nodes=tuple(n.id for n in nodes),
+            region=Region(tuple((round(x, 3), round(y, 3)) for x, y in _outer(region)), z_min, z_max),
+            poses=tuple(self._poses(nodes, footprint, robot)),
+        )
+
+    @staticmethod
+    def _ground(nodes: Sequence[Node]) -> tuple[shapely.Geometry, float, float]:
+        """The ground that nodes cover together, and the range of their heights."""
+        parts, low, high = [], math.inf, -math.inf
+        for node in nodes:
+            outline = node.attributes.get("footprint")
+            if outline:
+                parts.append(shapely.Polygon(outline))
+            if node.box is not None:
+                corners = node.box.corners()
+                low, high = min(low, corners[:, 2].min()), max(high, corners[:, 2].max())
+                if not outline:
+                    parts.append(shapely.MultiPoint(corners[:, :2]).convex_hull)
+            elif not outline:
+                low, high = min(low, node.position[2]), max(high, node.position[2])
+                parts.append(shapely.Point(node.position[:2]).buffer(0.05))
+        return shapely.union_all(parts).buffer(0.0), float(low), float(high)
+
+    def _near_distance(self, node: Node) -> float:
+        """How near is near to this thing for a robot, as the rules say."""
+        goal = Compound("near_distance", (Atom(node.id), Atom(node.id), Var("D")))
+        rows = self._knowledge.call(goal, limit=1)
+        return float(rows[0]["D"]) if rows else 1.0  # type: ignore[arg-type]
+
+    # -- poses --------------------------------------------------------------------------------------------
+    def _poses(self, nodes: Sequence[Node], footprint: shapely.Geometry, robot: str | None) -> list[GoalPose]:
+        """Free, reachable poses that look at the nodes: for a room inside it, else beside the things."""
+        start = self._robot_at(robot)
+        floor_z = self._floor_z(nodes)
+        inside = all(n.layer == "room" for n in nodes)
+        low, high = np.array(footprint.bounds[:2]) - STAND_OFF_M - 0.5, np.array(footprint.bounds[2:]) + STAND_OFF_M + 0.5
+        if start is not None and np.abs(start - np.array(footprint.centroid.coords[0])).max() < 3 * WINDOW_M:
+            low, high = np.minimum(low, start - 1.0), np.maximum(high, start + 1.0)
+        origin = np.floor(low / CELL_M).astype(np.int64)
+        shape = tuple((np.floor(high / CELL_M).astype(np.int64) - origin + 1).tolist())
+        clearance = self._clearance(origin, shape, floor_z, self._height_m(robot))
+        free = clearance > self._radius(robot)
+        reached, start_cell = self._reachable(free, origin, start)
+        cells = np.argwhere(reached)
+        if not len(cells):
+            return []
+        xy = (cells + origin + 0.5) * CELL_M
+        target = shapely.points(xy)
+        if inside:
+            away = np.where(shapely.contains_xy(footprint, xy[:, 0], xy[:, 1]), 0.0, np.inf)
+            badness = away - clearance[tuple(cells.T)]
+        else:
+            away = shapely.distance(target, footprint)
+            badness = np.where(away <= STAND_OFF_M + self._radius(robot), away, np.inf) - 0.3 * np.minimum(clearance[tuple(cells.T)], 1.0)
+        focus = np.array(footprint.centroid.coords[0])
+        poses: list[GoalPose] = []
+        chosen: list[Array] = []
+        for at in np.argsort(badness, kind="stable"):
+            if not np.isfinite(badness[at]) or len(poses) == MOST_POSES:
+                break
+            if any(np.linalg.norm(xy[at] - other) < 0.4 for other in chosen):
+                continue
+            chosen.append(xy[at])
+            yaw = math.atan2(*(focus - xy[at])[::-1])
+            way = None
+            if start_cell is not None:
+                cells_of_way = kernels.shortest_way(~free, *start_cell, *cells[at].tolist(), 1e9)
+                way = round(float(kernels.taut_length(~free, cells_of_way)) * CELL_M, 2)
+            pose = SE3.exp([0, 0, 0, 0, 0, yaw])
+            poses.append(
+                GoalPose(SE3(pose.rotation, (*xy[at], floor_z)), round(float(clearance[tuple(cells[at])]), 2), way)
+            )
+        return poses
+
+    def _clearance(self, origin: Array, shape: tuple[int, ...], floor_z: float, height_m: float) -> Array:
+        """Distance (W, H) [m] of each ground cell to the nearest cell that is filled, or was not seen, at any height."""
+        low = np.array([*(origin * CELL_M), floor_z + LEAST_HEIGHT_M])
+        high = low + np.array([*(np.array(shape) * CELL_M), height_m - LEAST_HEIGHT_M])
+        codes, first = self._occupancy.box(low, high)
+        filled, seen = (codes > FREE).any(axis=2), (codes == FREE).sum(axis=2)
+        open_columns = ~filled & (seen >= 0.5 * codes.shape[2])
+        size = self._occupancy.voxel_size_m
+        centres = (np.indices(shape).reshape(2, -1).T + origin + 0.5) * CELL_M
+        ij = np.floor(centres / size).astype(np.int64) - first[:2]
+        inside = ((ij >= 0) & (ij < open_columns.shape)).all(axis=1)
+        ij = np.where(inside[:, None], ij, 0)
+        passable = (open_columns[ij[:, 0], ij[:, 1]] & inside).reshape(shape)
+        return np.asarray(ndimage.distance_transform_edt(np.pad(passable, 1))[1:-1, 1:-1] * CELL_M)
+
+    @staticmethod
+    def _reachable(free: Array, origin: Array, start: Array | None) -> tuple[Array, tuple[int, int] | None]:
+        """Free cells that connect to the robot's, or to each other most widely where the robot's place is not known."""
+        parts, n = ndimage.label(free)
+        if n == 0:
+            return free, None
+        if start is not None:
+            cell = np.floor(start / CELL_M).astype(np.int64) - origin
+            if ((cell >= 0) & (cell < free.shape)).all():
+                near = np.argwhere(free)
+                nearest = near[np.abs(near - cell).sum(axis=1).argmin()]
+                if np.linalg.norm(nearest - cell) * CELL_M < 0.6:  # the robot itself may stand where it was not seen
+                    return parts == parts[tuple(nearest)], (int(nearest[0]), int(nearest[1]))
+        sizes = np.bincount(parts.ravel())
+        sizes[0] = 0
+        return parts == sizes.argmax(), None
+
+    def _robot_at(self, robot: str | None) -> Array | None:
+        agents = self._graph.nodes("agent")
+        wanted = [a for a in agents if robot is None or a.id == f"agent_{robot}"]
+        if not wanted:
+            return None
+        return np.asarray(max(wanted, key=lambda a: a.last_seen_ns).position[:2])
+
+    def _floor_z(self, nodes: Sequence[Node]) -> float:
+        rooms = [n for n in nodes if n.layer == "room"]
+        for node in nodes:
+            for edge in self._graph.edges("in", source=node.id):
+                if edge.target in self._graph and self._graph.node(edge.target).layer == "room":
+                    rooms.append(self._graph.node(edge.target))
+        heights = [float(r.attributes["floor_z"]) for r in rooms if "floor_z" in r.attributes]  # type: ignore[arg-type]
+        if heights:
+            return min(heights)
+        floors = [n.position[2] for n in self._graph.nodes("structure", label="floor")]
+        return float(min(floors)) if floors else min(float(n.position[2]) for n in nodes)
+
+    def _radius(self, robot: str | None) -> float:
+        known = self._describe(robot)
+        return self._radius_m if known is None else known.radius_m
+
+    def _height_m(self, robot: str | None) -> float:
+        known = self._describe(robot)
+        return DEFAULT_HEIGHT_M if known is None else known.height_m
+
+    def _describe(self, robot: str | None) -> RobotDescription | None:
+        if robot is not None:
+            return self._robots.get(robot)
+        return next(iter(self._robots.values())) if len(self._robots) == 1 else None
+
+
+def _rank(answer: PlaceAnswer) -> tuple[bool, float]:
+    lengths = [p.path_length_m for p in answer.poses if p.path_length_m is not None]
+    return not answer.poses, min(lengths, default=math.inf)
+
+
+def _outer(region: shapely.Geometry) -> list[tuple[float, float]]:
+    largest = max(shapely.get_parts(region), key=lambda part: part.area)
+    return list(largest.exterior.simplify(0.02).coords[:-1])
