@@ -17,8 +17,9 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue, models_jso
 
 from mapping.geometry import SE3
 from mapping.observations import OBSERVATIONS, Name, Observation, Pose, Stamp
-from scenegraph.errors import Problem, one_line
+from scenegraph.errors import InvalidGraphValue, Problem, one_line
 from scenegraph.graph import Delta, Edge, Node, Snapshot
+from scenegraph.graph.values import Value
 from scenegraph.service import keys
 from scenegraph.service.arrays import ARRAY_SCHEMA, LIMITS, Limits
 from scenegraph.service.codec import Form, dumps, form_of, loads, media_type
@@ -359,16 +360,20 @@ def decode(data: bytes, model: str, encoding: str = "", limits: Limits = LIMITS)
     form, told = form_of(encoding, data)
     if told is not None and told != model:
         raise InvalidMessage(f"expected {model}, but the encoding says {told[:60]}", field="encoding")
-    value = loads(data, form, limits)
-    if not isinstance(value, dict):
-        raise InvalidMessage(f"expected {model}, a mapping of its fields, got {type(value).__name__}")
-    unknown = next((name for name in value if not isinstance(name, str)), None)
-    if unknown is not None:
-        raise InvalidMessage(f"{model} has no field {unknown!r}")
     kind = MODELS[model]
     try:
+        if form == "json" and issubclass(kind, Value):  # large, without arrays, and from our own server
+            return kind.model_validate_json(data)
+        value = loads(data, form, limits)
+        if not isinstance(value, dict):
+            raise InvalidMessage(f"expected {model}, a mapping of its fields, got {type(value).__name__}")
+        unknown = next((name for name in value if not isinstance(name, str)), None)
+        if unknown is not None:
+            raise InvalidMessage(f"{model} has no field {unknown!r}")
         with np.errstate(all="ignore"):  # absurd numbers overflow on their way to being refused
             return kind(**value) if issubclass(kind, Observation) else kind.model_validate(value)
+    except InvalidGraphValue as error:
+        raise InvalidMessage(str(error)) from None
     except ValidationError as error:
         raise InvalidMessage(one_line(error, model)) from None
 

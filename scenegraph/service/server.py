@@ -110,7 +110,7 @@ class Server:
         self._began = time.monotonic()
         self._busy_since: float | None = None
         self._world_status: dict[str, Any] = {}
-        self._status_at = 0.0
+        self._status_at, self._status_stale = 0.0, True
         self._session: zenoh.Session | None = None
 
     # -- life ----------------------------------------------------------------------------------------------------
@@ -322,7 +322,7 @@ class Server:
                 except Exception:
                     log.exception("a job failed in an unforeseen way; the server goes on")
                 self._busy_since = None
-            if job is None or time.monotonic() - self._status_at > _STATUS_EVERY_S or self._intake.idle:
+            if self._status_stale and (self._intake.idle or time.monotonic() - self._status_at > _STATUS_EVERY_S):
                 self._refresh_status()
 
     def _integrate(self, stream: keys.Input, payload: zenoh.ZBytes, encoding: str, query: zenoh.Query | None) -> None:
@@ -346,6 +346,7 @@ class Server:
 
     def _publish_changes(self, delta: Delta | None) -> None:
         """Hand what has changed since the last call to the feed: the delta when it is all of it, else the whole."""
+        self._status_stale = True
         graph = self._world.graph
         before = self._feed.revision
         if graph.revision == before:
@@ -360,7 +361,7 @@ class Server:
             self._world_status = replies.json_value(self._world.status())
         except Exception:
             log.exception("the world could not tell its status")
-        self._status_at = time.monotonic()
+        self._status_at, self._status_stale = time.monotonic(), False
 
     # -- verbs, on the world's thread ----------------------------------------------------------------------------
 

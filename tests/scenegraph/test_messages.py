@@ -281,6 +281,14 @@ def test_garbage_is_refused_with_one_clear_error(data, model, encoding):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("model", sorted(MODELS))
+@pytest.mark.parametrize("form", FORMS)
+def test_an_empty_or_foreign_mapping_is_refused_or_means_the_defaults(model, form):
+    for value in ({"nonsense": 1}, {"code": 3}, {"revision": -1, "stamp_ns": 0}):
+        with pytest.raises((InvalidMessage, InvalidObservation)):
+            decode(codec.dumps(value, form), model, f"application/{form}")
+
+
 @settings(max_examples=200)
 @given(st.data())
 def test_a_message_with_a_few_bytes_changed_is_read_or_refused(data):
