@@ -155,21 +155,22 @@ def replay(
     as_json: Json = False,
 ) -> None:
     """Play a recording into a new world, or into a server with --connect."""
-    from scenegraph import pipeline
+    from scenegraph.pipeline import open_recording, sending, world_for
+    from scenegraph.pipeline import replay as play
 
     printer = Printer(json=as_json)
     if connect and (save or voxel_size_m or max_range_m):
         raise typer.BadParameter("--save, --voxel-size-m and --max-range-m are of a new world: not with --connect")
-    dataset = pipeline.open_recording(source, **_options(option, poses=poses))
+    dataset = open_recording(source, **_options(option, poses=poses))
     with ExitStack() as stack:
         if connect:
             target: Any = stack.enter_context(_client(connect, world))
-            integrate = pipeline.sending(target)
+            integrate = sending(target)
         else:
-            target = stack.enter_context(pipeline.world_for(dataset, voxel_size_m, max_range_m))
+            target = stack.enter_context(world_for(dataset, voxel_size_m, max_range_m))
             integrate = target.integrate
         advance = stack.enter_context(printer.progress(dataset.name, len(dataset)))
-        told = pipeline.replay(dataset, integrate, every=every, advance=advance)
+        told = play(dataset, integrate, every=every, advance=advance)
         if save:
             target.save(save)
         status = plain_status(target)
