@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -126,9 +127,13 @@ class MapLayer(ABC):
     def load(cls, path: str | Path) -> Self:
         """Read a map that `save` wrote; raises `MappingError` on a damaged or foreign file."""
         try:
-            with np.load(Path(path), allow_pickle=False) as file:
-                state = {name: file[name] for name in file.files}
-        except (ValueError, EOFError, zipfile.BadZipFile) as error:
+            with Path(path).open("rb") as file:
+                if not zipfile.is_zipfile(file):
+                    raise ValueError("expected a .npz archive")
+                file.seek(0)
+                with np.load(file, allow_pickle=False) as archive:
+                    state = {name: archive[name] for name in archive.files}
+        except (ValueError, EOFError, zlib.error, zipfile.BadZipFile) as error:
             raise MappingError(f"{path}: not a saved map: {error}") from None
         return cls.from_state(state)
 
