@@ -34,8 +34,8 @@ class Printer:
 
     # -- for programs ----------------------------------------------------------------------------------------
     def document(self, value: Any) -> None:
-        """One JSON object, in one line."""
-        print(json.dumps(value, ensure_ascii=False, allow_nan=False, default=str), flush=True)
+        """One JSON object, in one line. JSON has no NaN and no infinity: they become null."""
+        print(json.dumps(_finite(value), ensure_ascii=False, allow_nan=False, default=str), flush=True)
 
     # -- for people ------------------------------------------------------------------------------------------
     def line(self, text: str, style: str = "") -> None:
@@ -52,7 +52,7 @@ class Printer:
     def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         """A table; numbers are set to the right."""
         rows = [tuple(row) for row in rows]
-        table = Table(title=title, title_justify="left", title_style="bold")
+        table = Table(title=title or None, title_justify="left", title_style="bold", min_width=len(title))
         for i, column in enumerate(columns):
             numbers = bool(rows) and all(isinstance(row[i], int | float) for row in rows)
             table.add_column(column, justify="right" if numbers else "left", overflow="fold")
@@ -123,8 +123,10 @@ class Printer:
                 for name, layer in layers.items()
             ),
         )
-        nodes = [*state.get("nodes", {}).items(), ("edges", state.get("edges", 0))]
-        self.table(f"graph, revision {state.get('revision', status.get('revision'))}", ("layer", "count"), nodes)
+        counts = {**state.get("nodes", {}), "edges": state.get("edges", 0)}
+        self.table(
+            f"graph, revision {state.get('revision', status.get('revision'))}", ("layer", "count"), counts.items()
+        )
         inputs = status.get("inputs") or {}
         if inputs:
             names = ("received", "taken", "dropped", "refused", "waiting")
@@ -180,6 +182,16 @@ class Printer:
             disable=self.json or not self.err.is_terminal,
             transient=True,
         )
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {name: _finite(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return value
 
 
 def shown(value: Any) -> str:
