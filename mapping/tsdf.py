@@ -35,10 +35,12 @@ class TsdfMap(MapLayer):
     weighting       "constant", or "inverse_square": 1/z², as the noise of structured light grows
     max_weight      the running mean's memory: at this weight new measurements begin to displace old ones
     carve           whether voxels of existing blocks that an image sees in front of its surface become free, so that
-                    what has gone goes from the map; otherwise only the band about the surface is updated
+                    what has gone goes from the map (a block that is made later missed what was seen before: this
+                    depends on the order of images); otherwise only the band about the surface is updated
     with_color      keep colours from the beginning; otherwise from the first image that has any
 
-    Updates are weighted sums: their order does not matter until `max_weight`. Raises `InvalidParameter` on bad values.
+    Updates are weighted sums: without `carve` their order does not matter until `max_weight`. Raises `InvalidParameter` on bad
+    values.
     """
 
     kind: ClassVar[str] = "tsdf"
@@ -152,7 +154,7 @@ class TsdfMap(MapLayer):
         inverse_square = self.weighting == "inverse_square"
         tsdf.fuse_image(
             fields["distance"], fields["weight"], fields.get("color", _NO_COLORS), slots, blocks, size, tau, size,
-            inverse_square, self.max_weight, view.reach, view.camera, image, changed,
+            self.carve, inverse_square, self.max_weight, view.reach, view.camera, image, changed,
         )  # fmt: skip
         return self._note(slots[changed])
 

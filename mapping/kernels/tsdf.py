@@ -57,6 +57,7 @@ def fuse_image(
     voxel_size: Float,
     truncation: Float,
     drop_off: Float,
+    carve: bool,
     inverse_square: bool,
     max_weight: Float,
     reach: Array,
@@ -69,6 +70,7 @@ def fuse_image(
     distance, weight : (capacity, 512) float32 [m], [-]
     color            : (capacity, 512, 3) uint16 in 1/256 of a step, or empty
     drop_off         : depth behind the surface [m] from which on the weight falls to 0 at `truncation`
+    carve            : whether voxels farther before the surface than `truncation` are updated too
     image            : (H, W, 3) uint8, or empty
     changed          : (n,) bool, filled
     """
@@ -77,6 +79,7 @@ def fuse_image(
     one = np.float32(1.0)
     tau = np.float32(truncation)
     slope = np.float32(1.0 / max(truncation - drop_off, 1e-9))
+    front = np.float32(np.inf) if carve else tau
     highest = np.float32(max_weight)
     colored = image.shape[0] > 0
     width = reach.shape[1]
@@ -103,7 +106,7 @@ def fuse_image(
             total = had + gain
             mean = (old * had + new * gain) / total
             total = min(total, highest)
-            update = s[w] > -tau
+            update = (s[w] > -tau) & (s[w] <= front)
             mean = mean if update else old
             total = total if update else had
             difference |= np.uint8(mean != old) | np.uint8(total != had)

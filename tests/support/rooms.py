@@ -9,6 +9,7 @@ import numpy as np
 from mapping.geometry import SE3, CameraIntrinsics
 
 SMALL_CAMERA = CameraIntrinsics(fx=40.0, fy=40.0, cx=31.5, cy=23.5, width=64, height=48)
+MIDDLE_CAMERA = CameraIntrinsics(fx=200.0, fy=200.0, cx=159.5, cy=119.5, width=320, height=240)
 LARGE_CAMERA = CameraIntrinsics(fx=525.0, fy=525.0, cx=319.5, cy=239.5, width=640, height=480)
 
 
