@@ -138,6 +138,9 @@ class Printer:
         """The figures of an evaluation, one a line."""
         told = evaluation.as_json()
         self.table(f"{told['seeds']} simulated homes", ("figure", "value"), told["figures"].items())
+        for name in ("uncounted", "notes"):
+            if told.get(name):
+                self.line(f"{name}: {'; '.join(map(str, told[name]))}", "dim")
 
     def checks(self, checks: Iterable[Any]) -> None:
         """The machine, one check a line, and what to install."""

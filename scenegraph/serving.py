@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import signal
 import time
 import tomllib
@@ -12,10 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from scenegraph.config import WorldConfig
-from scenegraph.errors import InvalidConfig
+from scenegraph.errors import InvalidConfig, StoreError
 from scenegraph.world import World
 
 __all__ = ["StoredWorld", "read_config", "serve"]
+
+
+log = logging.getLogger(__name__)
 
 
 class StoredWorld:
@@ -29,27 +33,36 @@ class StoredWorld:
         self._store = store
         self._save_every_s = save_every_s
         self._saved_at = time.monotonic()
+        self._changed = False
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._world, name)
 
     def integrate(self, observation: Any) -> Any:
-        """As `World.integrate`; saves from time to time."""
+        """As `World.integrate`; saves from time to time. A save that fails is logged: no observation is to blame."""
         delta = self._world.integrate(observation)
+        self._changed = True
         if self._save_every_s and time.monotonic() - self._saved_at > self._save_every_s:
-            self.save()
+            try:
+                self.save()
+            except StoreError as error:
+                self._saved_at = time.monotonic()
+                log.error("the world could not be saved: %s", error)
         return delta
 
     def tell(self, statement: str, *, author: str, reason: str = "") -> Any:
-        """As `World.tell`; what is accepted is saved before the answer goes out."""
+        """As `World.tell`; what is accepted is saved before it is answered. Raises `StoreError` when it cannot be."""
         told = self._world.tell(statement, author=author, reason=reason)
         if told.accepted:
+            self._changed = True
             self.save()
         return told
 
     def save(self) -> None:
-        """Write the world to its store now."""
-        self._world.save(self._store)
+        """Write the world to its store, if anything came in since it was last written."""
+        if self._changed:
+            self._world.save(self._store)
+            self._changed = False
         self._saved_at = time.monotonic()
 
     def __enter__(self) -> StoredWorld:
