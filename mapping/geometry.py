@@ -45,7 +45,9 @@ class SE3:
         r = np.array(rotation, dtype=np.float64)
         t = np.array(translation, dtype=np.float64)
         if r.shape != (3, 3) or t.shape != (3,):
-            raise InvalidParameter(f"pose: expected a rotation (3, 3) and a translation (3,), got {r.shape} and {t.shape}")
+            raise InvalidParameter(
+                f"pose: expected a rotation (3, 3) and a translation (3,), got {r.shape} and {t.shape}"
+            )
         if not (np.isfinite(r).all() and np.isfinite(t).all()):
             raise InvalidParameter("pose: expected finite numbers, got NaN or infinity")
         error = float(np.abs(r @ r.T - np.eye(3)).max())
