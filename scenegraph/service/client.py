@@ -130,8 +130,9 @@ class Client:
             raise
 
     def close(self) -> None:
-        """End the session."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        """End the session. Safe to call twice."""
+        if not self._session.is_closed():
+            self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:
         return self

@@ -13,10 +13,13 @@ from collections.abc import Callable, Iterator
 
 import zenoh
 
+from scenegraph.errors import SceneGraphError
 from scenegraph.graph import Delta, Edge, EdgeChanges, Node, NodeChanges, SceneGraph, Snapshot
 from scenegraph.service import keys
 
 __all__ = ["GraphFeed"]
+
+_LOST = -2  # no delta follows it
 
 log = logging.getLogger(__name__)
 
@@ -115,11 +118,19 @@ class GraphFeed:
                 change = self._queue.popleft()
                 if change is None:
                     return
-                delta, layers = self._take(change)
-                self._changed.notify_all()
+                try:
+                    delta, layers = self._take(change)
+                except SceneGraphError:
+                    log.exception(
+                        "revision %d does not fit the copy: the next change brings the whole", change.revision
+                    )
+                    self._wanted = _LOST
+                    continue
+                finally:
+                    self._changed.notify_all()
             try:
                 self._tell(delta, layers)
-            except Exception:  # the line may be closing; the graph itself is up to date
+            except zenoh.ZError:  # the line is closing; the copy itself is up to date
                 log.exception("revision %d could not be published", delta.revision)
 
     def _take(self, change: Delta | Snapshot) -> tuple[Delta, dict[str, str]]:

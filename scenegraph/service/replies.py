@@ -10,9 +10,9 @@ from pydantic import BaseModel
 
 from mapping.geometry import SE3
 from reasoning.knowledge import Explanation, Test
-from scenegraph.errors import Problem, SceneGraphError
+from scenegraph.errors import Problem
 from scenegraph.graph import Node
-from scenegraph.service.errors import UnknownKey
+from scenegraph.service.errors import InvalidMessage, UnknownKey
 from scenegraph.service.messages import (
     AskReply,
     Binding,
@@ -37,6 +37,9 @@ __all__ = [
     "tell_reply",
     "where_reply",
 ]
+
+MAX_POINTS = 1_000_000
+"""Points of one map query: they are looked up by the thread that maps."""
 
 
 def problem_from(given: Any) -> Problem | None:
@@ -152,9 +155,11 @@ def map_layer(world: Any, name: str) -> Any:
 
 def map_values(name: str, layer: Any, query: MapQuery) -> MapValues:
     """A value for each of the points, with what is unknown marked."""
+    if len(query.points) > MAX_POINTS:
+        raise InvalidMessage(f"expected at most {MAX_POINTS} points, got {len(query.points)}", field="MapQuery.points")
     points = np.asarray(query.points, dtype=np.float64)
     if not np.isfinite(points).all():
-        raise SceneGraphError("points: expected finite numbers, got NaN or infinity")
+        raise InvalidMessage("expected finite numbers, got NaN or infinity", field="MapQuery.points")
     if name == "semantics":
         labels, confidence = layer.query(points)
         labels = np.asarray(labels).astype(np.uint16, copy=False)

@@ -183,8 +183,10 @@ class Server:
         if head in ("graph", "problems", "answers"):
             return  # what servers put, another one of this world included
         try:
-            if head != "in" or sample.kind != zenoh.SampleKind.PUT:
+            if head != "in":
                 raise keys.unknown_key(self.name, where)
+            if sample.kind != zenoh.SampleKind.PUT:
+                raise InvalidMessage("a deletion means nothing here: expected an observation to be put")
             self._admit(keys.read_input(self.name, where), sample.payload, str(sample.encoding), None)
         except Exception as error:
             self._refuse(where, error)
@@ -257,6 +259,8 @@ class Server:
         def guarded() -> None:
             try:
                 run()
+            except zenoh.ZError as failure:  # who asked has gone
+                log.debug("a reply could not be sent: %s", failure)
             except Exception as error:
                 self._reply_problem(query, error)
             finally:

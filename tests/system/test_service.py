@@ -7,6 +7,7 @@ import threading
 import time
 
 import cbor2
+import numpy as np
 import pytest
 import zenoh
 
@@ -319,6 +320,40 @@ def test_a_server_that_ends_takes_its_liveliness_with_it(plain, server):
         assert eventually(lambda: seen[1:] == [zenoh.SampleKind.DELETE])
 
 
+def test_a_client_and_its_mirror_outlive_a_restart_of_the_server(world):
+    endpoint = free_endpoint()
+    first = Server(world, "home", endpoint=endpoint).start()
+    with Client("home", endpoint) as client, client.mirror() as live:
+        client.integrate(small_image(1))
+        assert live.wait_for(2)
+        first.stop()
+        with pytest.raises(ServerUnreachable, match="no server is alive"):
+            client.ask("table")
+        anew = FakeWorld()
+        with Server(anew, "home", endpoint=endpoint):
+            assert eventually(lambda: answers(client))
+            for n in range(3):
+                client.integrate(small_image(10 + n))
+            assert eventually(lambda: live.graph == anew.graph)
+
+
+def answers(client: Client) -> bool:
+    try:
+        return client.ask("table").truth == "true"
+    except (ServerUnreachable, ServerTimeout):
+        return False
+
+
+def test_a_server_that_takes_too_long_is_told(server):
+    with Client("home", server.endpoint, timeout_s=0.2) as client, Client("home", server.endpoint) as other:
+        asking = threading.Thread(target=lambda: other.ask("sleep", timeout_s=1.0))
+        asking.start()
+        assert eventually(lambda: client.status().busy_s > 0.05)
+        with pytest.raises(ServerTimeout, match="did not reply"):
+            client.tell("rename(table_1, x)")
+        asking.join()
+
+
 def test_two_worlds_answer_one_question_each_on_its_own_key(server):
     upstairs = FakeWorld()
     with Server(upstairs, "upstairs", endpoint=free_endpoint(), connect=[server.endpoint]) as second:
@@ -358,6 +393,16 @@ def test_a_request_that_is_none_gets_an_error_reply(plain, path, payload):
     problem = json.loads(reply.err.payload.to_bytes())
     assert problem["code"] == "invalid_message"
     assert problem["message"]
+
+
+def test_a_deletion_and_too_many_points_are_refused(client, plain):
+    plain.delete(keys.key("home", "in") + "/spot/camera/rgbd")
+    assert eventually(lambda: len(client.problems().problems) == 1)
+    assert "a deletion means nothing here" in client.problems().problems[0].message
+    with pytest.raises(RemoteProblem, match=r"MapQuery\.points: expected at most 1000000 points"):
+        client.map_query("occupancy", np.zeros((1_000_001, 3)))
+    with pytest.raises(RemoteProblem, match=r"MapQuery\.points: expected finite"):
+        client.map_query("occupancy", [[0.0, 0.0, float("nan")]])
 
 
 def test_the_reply_has_the_form_of_the_request(plain):
