@@ -80,16 +80,18 @@ class FactStore:
             else:
                 self._drop(key)
         for key, text, about in puts:
-            line = f"put({text})."
-            lines.append(line)
-            self._lines[key] = line
+            before = self._lines.get(key)
+            if before == text:
+                continue
+            lines.append(f"add({text})." if before is None else f"put({text}).")
+            self._lines[key] = text
             for node in about:
                 self._about.setdefault(node, set()).add(key)
         return "\n".join(lines)
 
     def text(self) -> str:
-        """All facts, as the text of one change."""
-        return "\n".join(self._lines.values())
+        """All facts, as the text of one change to an empty world."""
+        return "\n".join([f"add({text})." for text in self._lines.values()])
 
     def _drop(self, key: Key) -> None:
         self._lines.pop(key, None)

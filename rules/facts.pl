@@ -107,8 +107,9 @@ edge(Relation, A, B, Value, Threshold, Confidence) :-
 %!  update(+Stream) is det.
 %
 %   Carry out the changes read from Stream: put(Fact) stores Fact in the place
-%   of one with the same key, delete(Fact) removes what has Fact's key (where
-%   variables match anything), forget(Id) removes every fact about Id.
+%   of one with the same key, add(Fact) stores one whose key is new, delete(Fact)
+%   removes what has Fact's key (where variables match anything), forget(Id)
+%   removes every fact about Id.
 %
 %   @error domain_error(fact, Term) for anything else; nothing is changed then
 %          beyond what stood before it in Stream.
@@ -129,6 +130,10 @@ change(put(Fact)) :-
     stored(Fact, Stored, Key),
     !,
     retractall(Key),
+    assertz(Stored).
+change(add(Fact)) :-
+    stored(Fact, Stored, _),
+    !,
     assertz(Stored).
 change(delete(Fact)) :-
     stored(Fact, _, Key),

@@ -223,7 +223,7 @@ judged(near, A, B, Truth, [test(path_gap_upper, Upper, =<, near_distance, Distan
     (   Reached == true
     ->  Truth = true,
         More = []
-    ;   ( mutual(path_gap_lower, A, B, Lower) -> true ; Lower = Upper ),
+    ;   ( mutual(path_gap_lower, A, B, Lower0) -> Lower = Lower0 ; Lower = unknown ),
         More = [test(path_gap_lower, Lower, =<, near_distance, Distance)],
         at_most(Lower, Distance, Reachable),
         ( Reachable == false -> Truth = false ; Truth = unknown )
@@ -234,8 +234,10 @@ judged(touching, A, B, Truth, [test(gap, Gap, =<, contact_gap, Enough)]) :-
     at_most(Gap, Enough, Truth).
 
 %   Structure lies below everything, and rests on nothing.
-structure_below(A, _, false) :-
-    node(A, structure), !.
+structure_below(A, _, Truth) :-
+    node(A, structure),
+    !,
+    Truth = false.
 structure_below(_, B, true) :-
     node(B, structure).
 
@@ -253,9 +255,9 @@ lowest_above(A, B, Rise) :-
     Rise is (ZA-HA/2)-(ZB-HB/2).
 lowest_above(_, _, unknown).
 
-higher(unknown, _, _, unknown) :- !.
-higher(Rise, _, _, true) :- Rise > 0, !.
-higher(Rise, A, B, true) :- Rise =:= 0, A @> B, !.
+higher(unknown, _, _, Truth) :- !, Truth = unknown.
+higher(Rise, _, _, Truth) :- Rise > 0, !, Truth = true.
+higher(Rise, A, B, Truth) :- Rise =:= 0, A @> B, !, Truth = true.
 higher(_, _, _, false).
 
 either_way(Name, A, B, Default, Value) :-
@@ -338,7 +340,8 @@ judged_room(A, Room, Truth, Tests) :-
     member(A, Things),
     judged_room(A, Room, Truth, Tests).
 judged_room(A, Room, Truth, Tests) :-
-    setof(Thing, R^S^measured(footprint_share, Thing, R, S), Things),
+    findall(Thing, candidate(_, Thing), Things0),
+    sort(Things0, Things),
     member(A, Things),
     judged_room(A, Room, Truth, Tests).
 
@@ -386,21 +389,23 @@ reading(Relation, A, B, Canonical, B, A) :-
     !.
 reading(Relation, A, B, Relation, A, B).
 
-at_least(unknown, _, unknown) :- !.
-at_least(Value, Threshold, true) :- Value >= Threshold, !.
+%   The output comes after the cut: these are also called with the truth that is wanted.
+
+at_least(unknown, _, Truth) :- !, Truth = unknown.
+at_least(Value, Threshold, Truth) :- Value >= Threshold, !, Truth = true.
 at_least(_, _, false).
 
-at_most(unknown, _, unknown) :- !.
-at_most(Value, Threshold, true) :- Value =< Threshold, !.
+at_most(unknown, _, Truth) :- !, Truth = unknown.
+at_most(Value, Threshold, Truth) :- Value =< Threshold, !, Truth = true.
 at_most(_, _, false).
 
-more_than(unknown, _, unknown) :- !.
-more_than(Value, Threshold, true) :- Value > Threshold, !.
+more_than(unknown, _, Truth) :- !, Truth = unknown.
+more_than(Value, Threshold, Truth) :- Value > Threshold, !, Truth = true.
 more_than(_, _, false).
 
-both(false, _, false) :- !.
-both(_, false, false) :- !.
-both(true, true, true) :- !.
+both(false, _, Truth) :- !, Truth = false.
+both(_, false, Truth) :- !, Truth = false.
+both(true, true, Truth) :- !, Truth = true.
 both(_, _, unknown).
 
 negated(true, false).
