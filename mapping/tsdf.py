@@ -39,8 +39,8 @@ class TsdfMap(MapLayer):
                     depends on the order of images); otherwise only the band about the surface is updated
     with_color      keep colours from the beginning; otherwise from the first image that has any
 
-    Updates are weighted sums: without `carve` their order does not matter until `max_weight`. Raises `InvalidParameter` on bad
-    values.
+    Updates are weighted sums: without `carve` their order does not matter until `max_weight`. Raises
+    `InvalidParameter` on bad values.
     """
 
     kind: ClassVar[str] = "tsdf"

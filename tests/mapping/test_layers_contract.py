@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -185,7 +184,7 @@ def test_damaged_and_foreign_files_are_refused(case, tmp_path):
 
 
 def test_the_order_of_independent_scans_does_not_matter(case):
-    layers = [fed(case, order) for order in permutations((0, 3, 6))]
+    layers = [fed(case, order) for order in ((0, 3, 6), (6, 0, 3))]
     points = voxels(layers[0], layers[0].block_ijk)
     first = case.read(layers[0], points)
     for other in layers[1:]:

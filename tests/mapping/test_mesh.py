@@ -1,0 +1,150 @@
+"""Meshes: closed where the field is known, on the surface, with normals into free space."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from mapping.errors import InvalidParameter
+from mapping.geometry import SE3
+from mapping.grid import BLOCK_VOXELS, ijk_to_centre, join_ijk
+from mapping.kernels import marching_cubes
+from mapping.mesh import Mesh
+from mapping.tsdf import TsdfMap
+from tests.support.rooms import SMALL_CAMERA, Room, looking
+
+
+def field_of(distance, voxel_size: float = 0.05, half_blocks: int = 3) -> TsdfMap:
+    """A map whose every voxel in a cube of blocks holds distance(centres (N, 3)) [m]."""
+    layer = TsdfMap(voxel_size)
+    edge = np.arange(-half_blocks, half_blocks)
+    blocks = np.stack(np.meshgrid(edge, edge, edge, indexing="ij"), axis=-1).reshape(-1, 3)
+    slots = layer.store.allocate(blocks)
+    ijk = join_ijk(np.repeat(blocks, BLOCK_VOXELS, axis=0), np.tile(np.arange(BLOCK_VOXELS), len(blocks)))
+    values = np.clip(distance(ijk_to_centre(ijk, voxel_size)), -layer.truncation_m, layer.truncation_m)
+    layer.store.fields["distance"][slots] = values.reshape(-1, BLOCK_VOXELS)
+    layer.store.fields["weight"][slots] = 1.0
+    return layer
+
+
+def ball(centres: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(centres - (0.013, 0.02, -0.03), axis=1) - 0.8
+
+
+def edges_of(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Each undirected edge once, and how many triangles it has."""
+    edges = np.concatenate([mesh.triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
+    return np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
+
+
+def test_a_ball_is_closed_round_and_faces_outwards():
+    mesh = field_of(ball).mesh()
+    radius = np.linalg.norm(mesh.vertices - np.float32([0.013, 0.02, -0.03]), axis=1)
+    assert np.abs(radius - 0.8).max() < 0.001
+    assert mesh.area_m2 == pytest.approx(4 * np.pi * 0.8**2, rel=2e-3)
+    outwards = (mesh.vertices - np.float32([0.013, 0.02, -0.03])) / radius[:, None]
+    assert (outwards * mesh.normals).sum(axis=1).min() > 0.99
+    _, counts = edges_of(mesh)
+    assert (counts == 2).all()
+    n_edges, n_vertices = len(counts), len(mesh.vertices)
+    assert n_vertices - n_edges + len(mesh.triangles) == 2  # Euler: one closed surface without handles
+    assert len(np.unique(mesh.vertices, axis=0)) == n_vertices  # welded
+    assert len(np.unique(mesh.triangles)) == n_vertices  # each used
+
+
+def test_any_field_gives_a_surface_without_cracks():
+    """Random signs meet every case and every ambiguous face: each edge inside has an even number of triangles."""
+    rng = np.random.default_rng(5)
+    layer = field_of(lambda centres: rng.uniform(-0.05, 0.05, len(centres)), half_blocks=1)
+    mesh = layer.mesh()
+    edges, counts = edges_of(mesh)
+    middle = np.abs(mesh.vertices[edges]).max(axis=(1, 2)) < 0.05 * 7.4
+    assert middle.sum() > 5000
+    assert (counts[middle] % 2 == 0).all()
+
+
+def test_every_case_cuts_exactly_the_edges_between_unlike_corners():
+    for case in range(256):
+        behind = [case >> corner & 1 for corner in range(8)]
+        cut = {n for n, (a, b) in enumerate(marching_cubes.EDGES) if behind[a] != behind[b]}
+        triangles = marching_cubes.triangulate_case(case)
+        assert {edge for triangle in triangles for edge in triangle} == cut
+        assert all(len(set(triangle)) == 3 for triangle in triangles)
+
+
+def test_mirrored_fields_give_mirrored_orientation():
+    outside = field_of(ball).mesh()
+    inside = field_of(lambda centres: -ball(centres)).mesh()
+    assert np.allclose(np.sort(outside.vertices, axis=0), np.sort(inside.vertices, axis=0), atol=1e-6)
+    assert (inside.vertices * inside.normals).sum(axis=1).max() < 0.0
+
+
+def test_cubes_with_an_unknown_corner_have_no_surface():
+    layer = field_of(ball)
+    weight = layer.store.used("weight")
+    centres = ijk_to_centre(
+        join_ijk(np.repeat(layer.block_ijk, 512, axis=0), np.tile(np.arange(512), len(weight))), 0.05
+    )
+    weight[(centres[:, 0] > 0.0).reshape(weight.shape)] = 0.0
+    mesh = layer.mesh()
+    assert mesh.vertices[:, 0].max() <= -0.025 + 1e-6
+    assert len(np.unique(mesh.triangles)) == len(mesh.vertices)
+    layer.store.used("weight")[:] = 0.5
+    assert len(layer.mesh(min_weight=1.0).triangles) == 0
+
+
+def test_the_mesh_of_nothing_is_empty():
+    mesh = TsdfMap(0.05).mesh()
+    assert mesh.vertices.shape == mesh.triangles.shape == (0, 3)
+    assert mesh.area_m2 == 0.0
+
+
+def test_the_mesh_of_images_lies_on_the_room():
+    layer = TsdfMap(0.05)
+    for yaw in np.arange(0.0, 2 * np.pi, 0.4):
+        pose = looking(yaw)
+        layer.integrate_image(Room().depth(pose, SMALL_CAMERA), SMALL_CAMERA, pose)
+    mesh = layer.mesh()
+    error = np.abs(Room().distance(mesh.vertices.astype(np.float64)))
+    assert len(mesh.triangles) > 3000
+    assert np.median(error) < 0.004
+
+
+@pytest.mark.parametrize("with_color", [False, True])
+@pytest.mark.parametrize("with_labels", [False, True])
+def test_a_ply_file_holds_the_mesh(tmp_path, with_color, with_labels):
+    layer = TsdfMap(0.05)
+    color = np.full((48, 64, 3), (200, 100, 50), np.uint8) if with_color else None
+    layer.integrate_image(np.full((48, 64), 1.0, np.float32), SMALL_CAMERA, SE3.identity(), color)
+    mesh = layer.mesh()
+    if with_labels:
+        mesh = Mesh(
+            mesh.vertices, mesh.triangles, mesh.normals, mesh.colors, np.full(len(mesh.vertices), 700, np.uint16)
+        )
+    mesh.write_ply(tmp_path / "mesh.ply")
+    content = (tmp_path / "mesh.ply").read_bytes()
+    header, body = content.split(b"end_header\n", 1)
+    vertex_bytes = 24 + 3 * with_color + 2 * with_labels
+    assert len(body) == vertex_bytes * len(mesh.vertices) + 13 * len(mesh.triangles)
+    first = np.frombuffer(body[:24], "<f4")
+    assert np.array_equal(first, [*mesh.vertices[0], *mesh.normals[0]])
+    order = [header.index(b"property " + name) for name in (b"float x", b"float nx", b"list uchar int vertex_indices")]
+    assert all(a < b for a, b in pairwise(order))
+    assert (b"uchar red" in header) == with_color
+    assert (b"ushort label" in header) == with_labels
+
+
+def test_open3d_takes_the_mesh():
+    open3d = pytest.importorskip("open3d")
+    mesh = field_of(ball).mesh().to_open3d()
+    assert isinstance(mesh, open3d.geometry.TriangleMesh)
+    assert mesh.is_watertight()
+    assert mesh.get_volume() == pytest.approx(4 / 3 * np.pi * 0.8**3, rel=5e-3)
+
+
+def test_values_that_do_not_fit_the_vertices_are_refused():
+    corners, triangle = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32)
+    with pytest.raises(InvalidParameter, match="labels"):
+        Mesh(corners, triangle, corners, labels=np.zeros(2, np.uint16))
+    with pytest.raises(InvalidParameter, match="triangles"):
+        Mesh(corners, triangle + 1, corners)
