@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
 from numpy.random import Generator
 
-from scenegraph.simulation.floorplan import DOOR_ZONE_M, WALL_M, FloorPlan, RoomPlan, Side
-from scenegraph.simulation.shapes import Array, Model, Solid, Surface
+from scenegraph.simulation.floorplan import DOOR_ZONE_M, WALL_M, FloorPlan, Hole, RoomPlan, Side
+from scenegraph.simulation.shapes import Array, Model, Surface
 
 Maker: TypeAlias = Callable[[Generator], Model]
 
@@ -21,6 +22,15 @@ ROBOT_RADIUS_M = 0.25
 ROBOT_HEIGHT_M = 1.45
 _TRIES = 60
 _YAW = {"south": np.pi, "north": 0.0, "west": np.pi / 2, "east": -np.pi / 2}
+
+
+@dataclass(frozen=True, eq=False)
+class Solids:
+    """Upright prisms in the home's frame: `outlines` (n,) shapely polygons, from `lows` (n,) to `highs` (n,) [m]."""
+
+    outlines: Array
+    lows: Array
+    highs: Array
 
 
 @dataclass(frozen=True)
@@ -45,11 +55,12 @@ class Placed:
         return moved
 
     @cached_property
-    def solids(self) -> tuple[Solid, ...]:
+    def solids(self) -> Solids:
         """Its material as upright prisms, in the home's frame."""
-        outlines = shapely.transform([s.outline for s in self.model.solids], self.to_home)
+        mine = self.model.solids
+        outlines = shapely.transform(np.array([s.outline for s in mine], dtype=object), self.to_home)
         z = self.position[2]
-        return tuple(Solid(o, s.low + z, s.high + z) for o, s in zip(outlines, self.model.solids, strict=True))
+        return Solids(outlines, np.array([s.low for s in mine]) + z, np.array([s.high for s in mine]) + z)
 
     @cached_property
     def footprint(self) -> Any:
@@ -63,14 +74,10 @@ class Placed:
         return float(self.position[2] + self.model.upper[2])
 
 
-def overlap(a: Sequence[Solid], b: Sequence[Solid], margin: float = 0.0) -> bool:
+def overlap(a: Solids, b: Solids, margin: float = 0.0) -> bool:
     """Whether material of `a`, widened by `margin` [m] on all sides, meets material of `b`."""
-    for p in a:
-        outline = p.outline.buffer(margin) if margin else p.outline
-        for q in b:
-            if p.low < q.high and q.low < p.high and outline.intersects(q.outline):
-                return True
-    return False
+    i, j = np.nonzero((a.lows[:, None] < b.highs) & (b.lows < a.highs[:, None]))
+    return bool(shapely.dwithin(a.outlines[i], b.outlines[j], margin).any())
 
 
 class Arrangement:
@@ -80,14 +87,19 @@ class Arrangement:
         self.rng, self.plan, self.room = rng, plan, room
         self.things: list[Placed] = []
         self.outline = shapely.box(room.x0, room.y0, room.x1, room.y1)
-        self.zones: list[Solid] = []
+        zones: list[tuple[Any, float, float]] = []
         self.gates: list[tuple[float, float]] = []
+        self._number = count()
         for hole in plan.holes:
             for owner, side in hole.rooms:
                 if owner == room.id:
-                    self._keep_clear(hole.kind == "window", side, hole.start, hole.end, hole.low, hole.high)
+                    zones.append(self._zone(hole, side))
+        outlines, lows, highs = zip(*zones, strict=True)
+        self.zones = Solids(np.array(outlines, dtype=object), np.array(lows), np.array(highs))
 
-    def _keep_clear(self, window: bool, side: Side, start: float, end: float, low: float, high: float) -> None:
+    def _zone(self, hole: Hole, side: Side) -> tuple[Any, float, float]:
+        """What must stay free before a door or window: an outline, and from which height to which."""
+        window, start, end = hole.kind == "window", hole.start, hole.end
         deep = 0.3 if window else 0.6 if self.room.kind == "hallway" else DOOR_ZONE_M
         fixed, _, _ = self.room.wall(side)
         inward = 1.0 if side in ("south", "west") else -1.0
@@ -95,10 +107,10 @@ class Arrangement:
         if not window:
             start, end = start - 0.25, end + 0.25
         rectangle = shapely.box(start, a, end, b) if side in ("south", "north") else shapely.box(a, start, b, end)
-        self.zones.append(Solid(rectangle, low - 0.03, high))
         if not window:
             middle, gate = (start + end) / 2, fixed + inward * (ROBOT_RADIUS_M + 0.1)
             self.gates.append((middle, gate) if side in ("south", "north") else (gate, middle))
+        return rectangle, hole.low - 0.03, hole.high
 
     # -- placing ------------------------------------------------------------------------------------------
     def against_wall(
@@ -209,34 +221,41 @@ class Arrangement:
     def _try(
         self, model: Model, position: tuple[float, float, float], yaw: float, margin: float, support: str | None = None
     ) -> Placed | None:
-        name = f"{self.room.id}.{len(self.things)}"
+        name = f"{self.room.id}.{next(self._number)}"
         height = max(position[2], REST_M)
         placed = Placed(name, model, (position[0], position[1], height), yaw, self.room.id, support)
         if not self.outline.contains(placed.footprint) or placed.top > self.room.height - 0.05:
             return None
         if support is None and overlap(placed.solids, self.zones):
             return None
-        near = placed.footprint.buffer(margin)
-        for other in self.things:
-            if near.intersects(other.footprint) and overlap(
-                placed.solids, other.solids, 0.0 if other.id == support else margin
-            ):
+        near = shapely.dwithin([other.footprint for other in self.things], placed.footprint, margin)
+        for k in np.flatnonzero(near):
+            other = self.things[k]
+            if overlap(placed.solids, other.solids, 0.0 if other.id == support else margin):
                 return None
         self.things.append(placed)
         return placed
 
+    def remove(self, thing: Placed) -> None:
+        """Takes a thing away, with all that stands on or in it."""
+        gone = {thing.id}
+        while more := {t.id for t in self.things if t.support in gone} - gone:
+            gone |= more
+        self.things = [t for t in self.things if t.id not in gone]
+
     # -- judging ------------------------------------------------------------------------------------------
-    def free_floor(self, clearance: float = ROBOT_RADIUS_M + 0.05) -> Any:
+    def free_floor(self, clearance: float = ROBOT_RADIUS_M + 0.1) -> Any:
         """Where the middle of a robot may be: the room less what stands in its way."""
         return free_floor(self.plan, [self.room], self.things, clearance)
 
     def passable(self) -> bool:
-        """Whether a robot gets from each door of the room to each other one."""
+        """Whether a robot gets from each door of the room to each other one, and to most of its floor."""
         parts = shapely.get_parts(self.free_floor())
         if len(parts) == 0:
             return False
         largest = max(parts, key=lambda part: part.area)
-        return bool(largest.area > 0.8 and all(largest.distance(shapely.Point(g)) < 0.1 for g in self.gates))
+        most = largest.area > max(0.8, 0.75 * sum(part.area for part in parts))
+        return bool(most and all(largest.distance(shapely.Point(gate)) < 0.1 for gate in self.gates))
 
 
 def free_floor(plan: FloorPlan, rooms: Sequence[RoomPlan], things: Sequence[Placed], clearance: float) -> Any:
@@ -253,5 +272,5 @@ def free_floor(plan: FloorPlan, rooms: Sequence[RoomPlan], things: Sequence[Plac
             inside.append(shapely.box(hole.start, a, hole.end, b) if flat else shapely.box(a, hole.start, b, hole.end))
     # a negative buffer with flat corners shrinks the floor; what stands on it grows
     floor = shapely.union_all(inside).buffer(-clearance)
-    low = [s.outline for t in things for s in t.solids if s.low < ROBOT_HEIGHT_M]
+    low = [outline for t in things for outline in t.solids.outlines[t.solids.lows < ROBOT_HEIGHT_M]]
     return floor.difference(shapely.union_all(low).buffer(clearance)) if low else floor

@@ -17,23 +17,20 @@ _ATTEMPTS = 40
 
 def furnish(rng: Generator, plan: FloorPlan, room: RoomPlan) -> list[Placed]:
     """Fills a room: the first of several attempts in which all large things find a place and the robot gets through."""
-    best: list[Placed] = []
+    best = Arrangement(rng, plan, room)
     for _ in range(_ATTEMPTS):
         arrangement = Arrangement(rng, plan, room)
         complete = _LARGE[room.kind](arrangement)
-        if not arrangement.passable():
-            continue
-        if complete or len(arrangement.things) > len(best):
-            best = arrangement.things
-        if complete:
-            break
-    arrangement = Arrangement(rng, plan, room)
-    arrangement.things = best
-    _SMALL[room.kind](arrangement)
-    while len(arrangement.things) > len(best) and not arrangement.passable():
-        last = max(k for k, thing in enumerate(arrangement.things) if thing.support is None)
-        del arrangement.things[last]  # what was strewn about the floor last is in the robot's way
-    return arrangement.things
+        if arrangement.passable() and (complete or len(arrangement.things) > len(best.things)):
+            best = arrangement
+            if complete:
+                break
+    large = len(best.things)
+    _SMALL[room.kind](best)
+    while not best.passable() and len(best.things) > large:
+        last = next(t for t in reversed(best.things) if t.support is None)
+        best.remove(last)  # what was strewn about the floor last is in the robot's way
+    return best.things
 
 
 def _longest(a: Arrangement) -> tuple[Side, Side]:

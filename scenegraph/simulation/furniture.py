@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numpy.random import Generator
 
 from scenegraph.simulation.shapes import Color, Model, Shape
@@ -15,8 +16,8 @@ _BLACK: Color = (35, 35, 38)
 
 def pick(rng: Generator, colors: tuple[Color, ...]) -> Color:
     """One of `colors`, each channel varied a little."""
-    base = colors[int(rng.integers(len(colors)))]
-    r, g, b = (int(min(255, max(0, c + rng.integers(-12, 13)))) for c in base)
+    base = np.array(colors[int(rng.integers(len(colors)))])
+    r, g, b = np.clip(base + rng.integers(-12, 13, 3), 0, 255).tolist()
     return r, g, b
 
 

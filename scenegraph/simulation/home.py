@@ -155,7 +155,7 @@ class Home:
         return {o.id: o for o in self.objects}
 
     def relations(self) -> frozenset[Relation]:
-        """All (relation, a, b) that hold: `on`, `in` (a thing, or a room), `above`, and `near` with a < b; found once."""
+        """All (relation, a, b) that hold: `on`, `in` (a thing, or a room), `above`, `near` with a < b; found once."""
         return frozenset(self.relation_values)
 
     @cached_property
@@ -167,7 +167,7 @@ class Home:
 
     def nearest_class(self, points: Array) -> Array:
         """Class id (N,) uint16 of the true surface closest to each point (N, 3) in map [m]."""
-        return np.asarray(self.triangle_class[self.renderer.closest_triangles(points)[0]])
+        return np.asarray(self.triangle_class[self.renderer.scene.closest(points)[0]])
 
     def observe(
         self,

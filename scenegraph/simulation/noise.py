@@ -97,7 +97,7 @@ def grown(mask: Array, pixels: int) -> Array:
     return mask
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def bleed(out: Array, entities: Array, radius: Array, rank: Array, winner: Array) -> None:
     """Let the mask of each entity grow over its neighbours, in place.
 

@@ -14,6 +14,7 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
+from scenegraph.simulation.rays import RayScene
 from scenegraph.simulation.shapes import Array
 from scenegraph.simulation.ways import WayAround
 
@@ -45,7 +46,7 @@ class Body:
     """
 
     thing: TrueObject
-    scene: Any
+    scene: RayScene
     hull: Any
     lower: Array
     upper: Array
@@ -61,7 +62,7 @@ class Body:
 
 
 def true_relations(home: Home) -> dict[Relation, float]:
-    """Relation (name, a, b) → the value that was measured, for all that hold: `on`, `in`, `near` (a < b) and `above`."""
+    """Relation (name, a, b) → the value that was measured, for all that hold: `on`, `in`, `near` (a < b), `above`."""
     bodies = [_body(o) for o in home.objects]
     found: dict[Relation, float] = {}
     contacts = _contacts(home, bodies)
@@ -87,26 +88,8 @@ def true_relations(home: Home) -> dict[Relation, float]:
 # -- preparing ------------------------------------------------------------------------------------------------
 
 
-def _scene(vertices: Array, triangles: Array) -> Any:
-    import open3d as o3d
-
-    scene = o3d.t.geometry.RaycastingScene()
-    tensor: Any = o3d.core.Tensor
-    scene.add_triangles(tensor(vertices.astype(np.float32)), tensor(triangles.astype(np.uint32)))
-    return scene
-
-
-def _cast(scene: Any, origins: Array, direction: Array) -> Array:
-    """Distance of the first hit of rays from (n, 3) along one direction (3,), or one each (n, 3); inf where none."""
-    import open3d as o3d
-
-    tensor: Any = o3d.core.Tensor
-    rays = np.concatenate([origins, np.broadcast_to(direction, origins.shape)], axis=1).astype(np.float32)
-    return np.asarray(scene.cast_rays(tensor(rays))["t_hit"].numpy())
-
-
 def _body(thing: TrueObject) -> Body:
-    scene = _scene(thing.vertices, thing.triangles)
+    scene = RayScene(thing.vertices, thing.triangles)
     c, s = np.cos(thing.yaw), np.sin(thing.yaw)
     axes = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     samples = _spread(thing)
@@ -114,7 +97,7 @@ def _body(thing: TrueObject) -> Body:
     columns = _columns(thing.center, thing.size[:2] / 2, axes, 700)
     up = np.array([0.0, 0.0, 1.0])
     start = np.column_stack([columns, np.full(len(columns), lower[2] - 0.1)])
-    lowest = lower[2] - 0.1 + _cast(scene, start, up)
+    lowest = lower[2] - 0.1 + scene.cast(start, up)[0]
     footing = np.column_stack([columns, lowest])[lowest <= lower[2] + CONTACT_GAP_M]
     hull = shapely.MultiPoint(thing.vertices[:, :2]).convex_hull
     return Body(thing, scene, hull, lower, upper, axes, samples, cKDTree(samples), footing)
@@ -152,7 +135,7 @@ def _contacts(home: Home, bodies: list[Body]) -> dict[tuple[str, str], float]:
     feet = [b.footing for b in bodies]
     points = np.concatenate(feet)
     points = points - np.array([0.0, 0.0, _EPSILON_M])
-    distance, triangle = home.renderer.cast(points, np.broadcast_to([0.0, 0.0, -1.0], points.shape))
+    distance, triangle = home.renderer.scene.cast(points, np.array([0.0, 0.0, -1.0]))
     entity = np.where(distance <= CONTACT_GAP_M, home.renderer.entities_of(triangle), 0)
     owner = np.repeat(np.arange(len(bodies)), [len(f) for f in feet])
     shares: dict[tuple[str, str], float] = {}
@@ -183,7 +166,7 @@ def _enclosed(points: Array, body: Body) -> Array:
         return np.asarray(result)
     x, y, z = body.axes
     inside = points[result]
-    closed = sum(np.isfinite(_cast(body.scene, inside, d)).astype(int) for d in (x, -x, y, -y, -z))
+    closed = sum(np.isfinite(body.scene.cast(inside, d)[0]).astype(int) for d in (x, -x, y, -y, -z))
     result[result] = closed >= CLOSED_SIDES
     return np.asarray(result)
 
@@ -206,8 +189,8 @@ def _rise(a: Body, b: Body) -> float:
     columns = _columns(smaller.thing.center, smaller.thing.size[:2] / 2, smaller.axes, 500)
     low, high = a.lower[2] - 0.1, b.upper[2] + 0.1
     up, down = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])
-    bottom = low + _cast(a.scene, np.column_stack([columns, np.full(len(columns), low)]), up)
-    top = high - _cast(b.scene, np.column_stack([columns, np.full(len(columns), high)]), down)
+    bottom = low + a.scene.cast(np.column_stack([columns, np.full(len(columns), low)]), up)[0]
+    top = high - b.scene.cast(np.column_stack([columns, np.full(len(columns), high)]), down)[0]
     both = np.isfinite(bottom) & np.isfinite(top)
     return float(np.median(bottom[both] - top[both])) if both.any() else -np.inf
 
@@ -256,25 +239,17 @@ def _near(home: Home, bodies: list[Body]) -> dict[Relation, float]:
         apart = np.maximum(0.0, np.maximum(a.lower - b.upper, b.lower - a.upper))
         if float(np.linalg.norm(apart)) > reach:
             continue
-        if a.thing.room == b.thing.room:  # rooms are convex
-            gap = surface_gap(a, b, reach)
-        else:
-            gap = ways.length(a.samples, b.samples, reach)
+        together = a.thing.room == b.thing.room  # nothing stands between them, since rooms are convex
+        gap = surface_gap(a, b, reach) if together else ways.length(a.samples, b.samples, reach)
         if gap <= reach:
             result["near", a.thing.id, b.thing.id] = gap
     return result
 
 
 def surface_gap(a: Body, b: Body, reach: float) -> float:
-    """Smallest distance between two surfaces, exact where it is about `reach`, else to within the samples' spacing."""
+    """Smallest distance between two surfaces, exact up to `reach`, beyond it to within the samples' spacing."""
     few, many = (a, b) if len(a.samples) <= len(b.samples) else (b, a)
     gap = float(many.tree.query(few.samples)[0].min())
-    if gap <= reach or gap > reach + 2 * _SPACING_M:
+    if gap > reach + 2 * _SPACING_M:
         return gap
-    import open3d as o3d
-
-    tensor: Any = o3d.core.Tensor
-    for one, other in ((a, b), (b, a)):
-        distance = other.scene.compute_distance(tensor(one.samples.astype(np.float32))).numpy()
-        gap = min(gap, float(distance.min()))
-    return gap
+    return min(gap, float(b.scene.distance(a.samples).min()), float(a.scene.distance(b.samples).min()))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mapping.geometry import SE3, CameraIntrinsics
+from scenegraph.simulation.rays import RayScene
 from scenegraph.simulation.shapes import Array
 
 if TYPE_CHECKING:
@@ -57,14 +58,10 @@ class Lidar:
 
 
 class Renderer:
-    """Casts rays at one home. The scene is built once; looking does not change it."""
+    """Looks at one home; `scene` holds all of its triangles, in the home's order."""
 
     def __init__(self, home: Home) -> None:
-        import open3d as o3d
-
-        self._tensor: Any = o3d.core.Tensor
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(self._tensor(home.vertices), self._tensor(home.triangles))
+        self.scene = RayScene(home.vertices, home.triangles)
         self._labels = np.append(home.triangle_class, np.uint16(0))  # one more, for rays that hit nothing
         self._entities = np.append(home.triangle_entity, np.int32(0))
         corners = home.vertices[home.triangles]
@@ -74,17 +71,7 @@ class Renderer:
         bright = 0.68 + 0.2 * np.abs(normals @ (home.T_map_home.rotation @ _LIGHT)) + 0.12 * np.abs(normals[:, 2])
         shaded = np.clip(home.triangle_color * bright[:, None], 0, 255).astype(np.uint8)
         self._colors = np.concatenate([shaded, np.zeros((1, 3), np.uint8)])
-        self._n = len(home.triangles)
         self._rays: dict[CameraIntrinsics, Array] = {}
-
-    def cast(self, origins: Array, directions: Array) -> tuple[Array, Array]:
-        """First hits of rays (N, 3), (N, 3): distance in lengths of the direction (inf: none), triangle (-1: none)."""
-        rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=-1).astype(np.float32)
-        hits = self._scene.cast_rays(self._tensor(rays))
-        distance = hits["t_hit"].numpy()
-        triangle = hits["primitive_ids"].numpy().astype(np.int32)
-        triangle[~np.isfinite(distance)] = -1
-        return distance, triangle
 
     def render(
         self, T_map_camera: SE3, camera: CameraIntrinsics = CAMERA, range_m: float = RANGE_M, *, colored: bool = True
@@ -98,27 +85,17 @@ class Renderer:
         here = np.empty_like(rays)
         here[..., :3] = T_map_camera.translation.astype(np.float32)
         np.matmul(rays[..., 3:], T_map_camera.rotation.T.astype(np.float32), out=here[..., 3:])
-        hits = self._scene.cast_rays(self._tensor(here))
-        depth = hits["t_hit"].numpy().copy()  # the rays have z = 1 in the optical frame
-        triangle = hits["primitive_ids"].numpy().view(np.int32)
-        triangle = np.where(np.isfinite(depth), triangle, -1)
-        depth[depth > range_m] = 0.0
+        distance, triangle = self.scene.first_hits(here)
+        depth = np.where(distance > range_m, np.float32(0.0), distance)  # the rays have z = 1 in the optical frame
         color = self._colors[triangle] if colored else np.zeros((*depth.shape, 3), np.uint8)
         return Rendered(T_map_camera, depth, self._labels[triangle], self._entities[triangle], triangle, color)
 
     def sweep(self, T_map_sensor: SE3, lidar: Lidar) -> tuple[Array, Array, Array]:
         """One turn of a lidar: directions (N, 3) that hit within range, their distances (N,) [m] and triangles (N,)."""
         directions = lidar.directions()
-        distance, triangle = self.cast(T_map_sensor.translation, directions @ T_map_sensor.rotation.T)
+        distance, triangle = self.scene.cast(T_map_sensor.translation, directions @ T_map_sensor.rotation.T)
         hit = (triangle >= 0) & (distance <= lidar.range_m)
         return directions[hit], distance[hit], triangle[hit]
-
-    def closest_triangles(self, points: Array) -> tuple[Array, Array]:
-        """Of points (N, 3) in map: the closest triangle (N,) and its closest point (N, 3)."""
-        if len(points) == 0:
-            return np.zeros(0, np.int32), np.zeros((0, 3), np.float32)
-        found = self._scene.compute_closest_points(self._tensor(np.ascontiguousarray(points, dtype=np.float32)))
-        return found["primitive_ids"].numpy().astype(np.int32), found["points"].numpy()
 
     def classes_of(self, triangles: Array) -> Array:
         """Class ids (…) uint16 of triangles; 0 for -1."""

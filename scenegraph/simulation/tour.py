@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 CAMERA_HEIGHT_M = 1.3
 _SKETCH = CameraIntrinsics(fx=52.5, fy=52.5, cx=31.5, cy=23.5, width=64, height=48)  # the camera, ten times coarser
 _SKETCH_PIXELS = 3  # of a thing that is seen well enough
-_SPOTS, _HEADINGS, _PITCHES = 11, 9, (-0.5, -0.28, 0.55)
+_SPOTS, _HEADINGS, _PITCHES = 10, 8, (-0.5, -0.28, 0.55)
 _NEAR_M, _FAR_M = 0.5, 5.0  # what is nearer or farther is not counted as seen
-_CELL_M = 0.12
+_CELL_M = 0.2
 _STRIDE_M = 1.2  # between two images on the way
 _SURFACE_GAIN = np.array([1.0, 0.5, 0.2, 0.0])  # of a surface cell that was seen 0, 1, 2 … times
 _THING_GAIN = np.array([25.0, 25.0, 25.0, 12.0, 8.0, 5.0, 0.0])
@@ -95,12 +95,11 @@ class Tour:
     def _choose(self, room: str, count: int) -> dict[int, list[Step]]:
         """`count` views in a room, by the cell of the floor that each is taken from."""
         spots = self._grid.spread(room, _SPOTS)
-        candidates = []
+        candidates: list[tuple[int, Step]] = []
         for k, cell in enumerate(spots):
-            for j in range(_HEADINGS):
-                heading = 2 * np.pi * (j + k / len(spots)) / _HEADINGS
-                for pitch in _PITCHES:
-                    candidates.append((cell, self._step(self._grid.points[cell], heading, pitch, room)))
+            headings = 2 * np.pi * (np.arange(_HEADINGS) + k / len(spots)) / _HEADINGS
+            spot = self._grid.points[cell]
+            candidates.extend((cell, self._step(spot, h, pitch, room)) for h in headings for pitch in _PITCHES)
         shown = [self._shows(step) for _, step in candidates]
         keys, column = np.unique(np.concatenate(shown), return_inverse=True)
         table = np.zeros((len(candidates), len(keys)), dtype=np.float32)

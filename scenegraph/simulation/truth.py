@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from scenegraph.simulation.rendering import CAMERA
 from scenegraph.simulation.shapes import Array
 
 if TYPE_CHECKING:
@@ -27,13 +28,14 @@ class TruthRecorder:
         self.home = home
         self.images = 0
         self._good = np.zeros(len(home.entities) + 1, dtype=np.int64)
+        self._rays = CAMERA.rays()[::_STRIDE, ::_STRIDE]
         self._cells = [
             np.zeros(tuple(max(1, int(np.ceil(e / _CELL_M))) for e in plane.extent), dtype=bool)
             for plane in home.structure
         ]
 
     def record(self, rendered: Rendered) -> None:
-        """Take in one image."""
+        """Take in one image of the standard camera."""
         self.images += 1
         pixels = np.bincount(rendered.entities[rendered.depth > 0].ravel(), minlength=len(self._good))
         self._good += pixels >= COUNTABLE_PIXELS
@@ -41,9 +43,7 @@ class TruthRecorder:
         depth = rendered.depth[::_STRIDE, ::_STRIDE]
         plane = np.where(triangle >= 0, self.home.triangle_plane[triangle], -1)
         plane[depth <= 0.0] = -1
-        from scenegraph.simulation.rendering import CAMERA
-
-        p_map = rendered.T_map_camera @ (CAMERA.rays()[::_STRIDE, ::_STRIDE] * depth[..., None])
+        p_map = rendered.T_map_camera @ (self._rays * depth[..., None])
         for k in np.unique(plane[plane >= 0]):
             self._mark(int(k), p_map[plane == k])
 

@@ -7,11 +7,12 @@ along it (exact for prisms; de Berg et al., *Computational Geometry*, ch. 15).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from scenegraph.simulation.floorplan import DOOR_HEIGHT_M, WALL_M
+from scenegraph.simulation.rays import RayScene
 from scenegraph.simulation.shapes import Array
 
 if TYPE_CHECKING:
@@ -26,15 +27,11 @@ class WayAround:
     """Measures ways between sets of points of one home."""
 
     def __init__(self, home: Home) -> None:
-        import open3d as o3d
-
-        self._tensor: Any = o3d.core.Tensor
         ajar = [home.entities.index(d.id) + 1 for d in home.doors if d.kind == "ajar"]
         n_things = len(home.objects)
         entity = home.triangle_entity
         solid = ((entity == 0) | (entity > n_things)) & ~np.isin(entity, ajar)
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(self._tensor(home.vertices), self._tensor(home.triangles[solid]))
+        self._structure = RayScene(home.vertices, home.triangles[solid])
         self._edges = _door_edges(home)
         between = self._sight(
             np.repeat(self._edges, len(self._edges), axis=0), np.tile(self._edges, (len(self._edges), 1))
@@ -46,10 +43,7 @@ class WayAround:
 
     def _blocked(self, start: Array, end: Array) -> Array:
         """(n,) bool: whether structure crosses the segments from (n, 3) to (n, 3)."""
-        step = end - start
-        rays = np.concatenate([start, step], axis=1).astype(np.float32)
-        hit = self._scene.cast_rays(self._tensor(rays))["t_hit"].numpy()
-        return np.asarray(hit < 1.0 - 1e-4)
+        return np.asarray(self._structure.cast(start, end - start)[0] < 1.0 - 1e-4)
 
     def _sight(self, start: Array, end: Array) -> Array:
         """(n,) length in the plan of the lines from (n, 2) to (n, 2); inf where a wall or closed door is in between."""
@@ -59,7 +53,7 @@ class WayAround:
         return np.where(blocked & (length > 1e-6), np.inf, length)
 
     def length(self, a: Array, b: Array, reach: float) -> float:
-        """Length of the shortest way from points (n, 3) to points (m, 3) [m]; inf when it is surely longer than `reach`."""
+        """Length of the shortest way from points (n, 3) to (m, 3) [m]; inf when it is surely longer than `reach`."""
         a, b = _thin(a), _thin(b)
         gap = np.linalg.norm(a[:, None] - b[None], axis=2)
         i, j = np.nonzero(gap <= reach)
@@ -104,10 +98,7 @@ def _door_edges(home: Home) -> Array:
         if door.kind == "closed":
             continue
         normal = door.normal[:2]
-        along = np.array([-normal[1], normal[0]])
-        for u in (-1, 1):
-            for v in (-1, 1):
-                edges.append(
-                    door.center[:2] + u * along * (door.width / 2 - _INSET_M) + v * normal * (WALL_M / 2 + _INSET_M)
-                )
+        along = np.array([-normal[1], normal[0]]) * (door.width / 2 - _INSET_M)
+        across = normal * (WALL_M / 2 + _INSET_M)
+        edges.extend([door.center[:2] + u * along + v * across for u in (-1, 1) for v in (-1, 1)])
     return np.array(edges)
