@@ -96,7 +96,7 @@ def test_distances_from_a_tsdf_are_those_of_the_room():
     assert np.median(error) < 0.005
     assert error.max() < 0.07
     norm = np.linalg.norm(gradient, axis=1)
-    assert np.percentile(norm, 99) < 1.1  # a corner between walls has no one gradient
+    assert np.percentile(norm, 95) < 1.1  # corners and edges have no one gradient
     inside = (np.abs(expected) < 0.9) & (np.abs(expected) > 0.1)
     assert np.median(norm[inside]) == pytest.approx(1.0, abs=0.02)
 
