@@ -160,9 +160,13 @@ class Client:
             raise ServerUnreachable(f"the line to {self.endpoint} is closed ({str(error)[:80]})") from None
 
     def integrate(
-        self, observation: Observation, *, compress: bool = False, timeout_s: float = 60.0
+        self, observation: Observation, *, compress: bool = False, timeout_s: float = 300.0
     ) -> ObservationReply:
-        """Send an observation and wait until it is mapped; none is dropped. The reply tells the graph's revision."""
+        """Send an observation and wait until it is mapped; none is dropped. The reply tells the graph's revision.
+
+        The very first image on a machine waits for the kernels to be compiled, hence the long `timeout_s`; that a server
+        has died is noticed at once.
+        """
         path = keys.input_key(self.world, observation).removeprefix(keys.key(self.world) + "/")
         return self._call(path, observation, ObservationReply, timeout_s, form="cbor", compress=compress)
 

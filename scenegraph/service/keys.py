@@ -227,7 +227,7 @@ class KeyRow:
         )
 
 
-_IMAGE = QualityOfService("DATA_LOW", "drop")
+_IMAGE = QualityOfService("DATA_LOW", "block")  # the server drops and counts; a line that drops would not count
 _INPUT = QualityOfService("DATA_HIGH", "block")
 _REQUEST = QualityOfService("INTERACTIVE_LOW", "block", express=True)
 _BULK = QualityOfService("BACKGROUND", "block")

@@ -13,18 +13,15 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Protocol, Self
 
 import zenoh
 from pydantic import BaseModel
 
-from scenegraph.errors import Problem, problem_of
 from scenegraph.graph import Delta, SceneGraph
 from scenegraph.service import exports, keys, replies
 from scenegraph.service.arrays import LIMITS, Limits
-from scenegraph.service.codec import Form, media_type
 from scenegraph.service.errors import EndpointUnavailable, InvalidMessage, Overloaded, ServiceError
 from scenegraph.service.feed import GraphFeed
 from scenegraph.service.health import Causes, RequestTimes
@@ -42,7 +39,8 @@ from scenegraph.service.messages import (
     encoding_of,
     schema,
 )
-from scenegraph.service.session import DEFAULT_ENDPOINT, qos_options, session_config
+from scenegraph.service.sender import Sender, problem_told, reply_form
+from scenegraph.service.session import DEFAULT_ENDPOINT, session_config
 
 __all__ = ["ServedWorld", "Server"]
 
@@ -103,7 +101,6 @@ class Server:
         self._intake = Intake(self._bounds, self._tally)
         self._times = RequestTimes()
         self._causes = Causes()
-        self._replies = threading.BoundedSemaphore(self._bounds.replies)
         self._stopping = threading.Event()
         self._asked_to_stop = False
         self._life = threading.Lock()
@@ -127,10 +124,10 @@ class Server:
                 hint="another server may run there already: choose another endpoint",
             ) from None
         self._session = session
+        self._sender = Sender(self.name, session, self._bounds.replies)
         self._refresh_status()
-        self._feed = GraphFeed(self.name, self._world.graph.snapshot(), self._put)
+        self._feed = GraphFeed(self.name, self._world.graph.snapshot(), self._sender.put)
         self._feed.start()
-        self._pool = ThreadPoolExecutor(3, thread_name_prefix="reply")
         self._worker = threading.Thread(target=self._work, name="world", daemon=True)
         self._worker.start()
         session.declare_queryable(self._prefix + "/**", self._on_query)
@@ -151,7 +148,7 @@ class Server:
             self._intake.wake()
             self._worker.join(timeout_s)
             self._feed.stop()
-            self._pool.shutdown(wait=True)
+            self._sender.close()
             session.close()  # type: ignore[no-untyped-call]
             log.info("stopped serving %s", self.name)
 
@@ -195,7 +192,7 @@ class Server:
         try:
             self._dispatch(query)
         except Exception as error:
-            self._reply_problem(query, error)
+            self._sender.problem(query, error)
 
     def _dispatch(self, query: zenoh.Query) -> None:
         expression = str(query.key_expr)
@@ -216,15 +213,15 @@ class Server:
             case ["map", layer] if layer in keys.MAP_LAYERS:
                 self._by_world(query, path, None, lambda _: self._map_layer(layer, query))
             case ["graph"]:
-                self._by_pool(query, lambda: self._reply_graph(query))
+                self._sender.soon(query, lambda: self._reply_graph(query))
             case ["graph", "nodes" | "edges", _, *_] | ["graph", "**"] | ["**"]:
-                self._by_pool(query, lambda: self._reply_items(query, f"{self._prefix}/{path}"))
+                self._sender.soon(query, lambda: self._reply_items(query, f"{self._prefix}/{path}"))
             case ["status"]:
-                self._by_pool(query, lambda: self._reply(query, path, self.status()))
+                self._sender.soon(query, lambda: self._sender.reply(query, path, self.status()))
             case ["problems"]:
-                self._by_pool(query, lambda: self._reply(query, path, self.problems()))
+                self._sender.soon(query, lambda: self._sender.reply(query, path, self.problems()))
             case ["schema"]:
-                self._by_pool(query, lambda: self._reply_schema(query))
+                self._sender.soon(query, lambda: self._reply_schema(query))
             case ["in", *_]:
                 stream = keys.read_input(self.name, f"{self._prefix}/{path}")
                 if query.payload is None:
@@ -251,28 +248,6 @@ class Server:
             self._tally.add(stream, "refused")
             raise
 
-    def _by_pool(self, query: zenoh.Query, run: Callable[[], None]) -> None:
-        """Let a reply worker do what does not need the world."""
-        if not self._replies.acquire(blocking=False):
-            raise Overloaded(f"{self._bounds.replies} replies are waiting already", hint="ask again a little later")
-
-        def guarded() -> None:
-            try:
-                run()
-            except zenoh.ZError as failure:  # who asked has gone
-                log.debug("a reply could not be sent: %s", failure)
-            except Exception as error:
-                self._reply_problem(query, error)
-            finally:
-                query.drop()  # type: ignore[no-untyped-call]
-                self._replies.release()
-
-        try:
-            self._pool.submit(guarded)
-        except RuntimeError:
-            self._replies.release()
-            raise Overloaded("the server is stopping") from None
-
     def _by_world(
         self,
         query: zenoh.Query,
@@ -291,11 +266,11 @@ class Server:
                 if job.waited_s > self._bounds.request_wait_s:
                     raise Overloaded(f"the request waited longer than {self._bounds.request_wait_s:g} s for its turn")
                 reply = handle(self._request(query, model) if model else None)
-                send = (lambda: self._reply(query, path, reply)) if isinstance(reply, BaseModel) else reply
-                self._by_pool(query, send)
+                send = (lambda: self._sender.reply(query, path, reply)) if isinstance(reply, BaseModel) else reply
+                self._sender.soon(query, send)
                 failed = False
             except Exception as error:
-                self._reply_problem(query, error)
+                self._sender.problem(query, error)
             finally:
                 elapsed = time.perf_counter() - began
                 self._intake.spent_on_request(elapsed)
@@ -340,13 +315,13 @@ class Server:
             if query is None:
                 self._refuse(f"{self._prefix}/in/{stream.path}", error)
             else:
-                self._reply_problem(query, error)
+                self._sender.problem(query, error)
             return
         self._tally.add(stream, "taken")
         self._publish_changes(delta)
         if query is not None:
             reply = ObservationReply(accepted=True, revision=self._world.graph.revision, changed=len(delta))
-            self._by_pool(query, lambda: self._reply(query, f"in/{stream.path}", reply))
+            self._sender.soon(query, lambda: self._sender.reply(query, f"in/{stream.path}", reply))
 
     def _publish_changes(self, delta: Delta | None) -> None:
         """Hand what has changed since the last call to the feed: the delta when it is all of it, else the whole."""
@@ -408,7 +383,7 @@ class Server:
 
         def send() -> None:
             data, encoding = exports.layer_as(name, type(layer), state, form)
-            self._reply_bytes(query, f"map/{name}", data, encoding)
+            self._sender.reply_bytes(query, f"map/{name}", data, encoding)
 
         return send
 
@@ -422,7 +397,7 @@ class Server:
             service=self._service,
             version=_version(),
             api=keys.PREFIX,
-            revision=self._feed.revision,
+            revision=self._world.graph.revision,
             uptime_s=round(time.monotonic() - self._began, 3),
             busy_s=round(time.monotonic() - busy, 3) if busy is not None else 0.0,
             inputs=self._tally.counts(),
@@ -439,71 +414,27 @@ class Server:
 
     def _reply_graph(self, query: zenoh.Query) -> None:
         data, encoding = exports.graph_as(self._feed.snapshot(), query.parameters.get("format") or "json")
-        self._reply_bytes(query, "graph", data, encoding)
+        self._sender.reply_bytes(query, "graph", data, encoding)
 
     def _reply_items(self, query: zenoh.Query, expression: str) -> None:
-        form = _reply_form(query)
+        form = reply_form(query)
         for where, item in self._feed.matches(expression):
             query.reply(where, encode(item, form), encoding=encoding_of(item, form))
 
     def _reply_schema(self, query: zenoh.Query) -> None:
-        self._reply_bytes(query, "schema", json.dumps(schema()).encode(), "application/schema+json")
-
-    def _reply(self, query: zenoh.Query, path: str, message: BaseModel) -> None:
-        form = _reply_form(query)
-        self._reply_bytes(query, path, encode(message, form), encoding_of(message, form))
-
-    def _reply_bytes(self, query: zenoh.Query, path: str, data: bytes, encoding: str) -> None:
-        query.reply(keys.key(self.name, path), data, encoding=encoding)
-
-    def _reply_problem(self, query: zenoh.Query, error: Exception) -> None:
-        problem = self._problem(error)
-        form = _reply_form(query)
-        try:
-            query.reply_err(encode(problem, form), encoding=media_type(form, "Problem"))
-        except zenoh.ZError as failure:
-            log.debug("a problem could not be told: %s", failure)
-        finally:
-            query.drop()  # type: ignore[no-untyped-call]
+        self._sender.reply_bytes(query, "schema", json.dumps(schema()).encode(), "application/schema+json")
 
     # -- puts ----------------------------------------------------------------------------------------------------
 
     def _refuse(self, source: str, error: Exception) -> None:
         """Tell of a refused put, once a cause."""
-        refusal = self._causes.add(source, self._problem(error))
+        refusal = self._causes.add(source, problem_told(error))
         if refusal is not None:
             log.warning("refused %s: %s", source, refusal.message)
             try:
-                self._put("problems", keys.key(self.name, "problems"), refusal)
+                self._sender.put("problems", keys.key(self.name, "problems"), refusal)
             except zenoh.ZError as failure:
                 log.debug("a problem could not be told: %s", failure)
-
-    def _problem(self, error: Exception) -> Problem:
-        problem = problem_of(error)
-        if problem.code == "internal_error":
-            log.error("unexpected error", exc_info=error)
-        return problem
-
-    def _put(self, row: str, where: str, message: BaseModel | None) -> None:
-        """Put a message where the row of the key table says, or delete what is there."""
-        session, options = self._session, qos_options(keys.qos(row))
-        if session is None:
-            return
-        if message is None:
-            session.delete(where, **options)
-        else:
-            session.put(where, encode(message, "json"), encoding=encoding_of(message, "json"), **options)
-
-
-def _reply_form(query: zenoh.Query) -> Form:
-    """The form to reply in: what `format` says, else that of the request, else JSON."""
-    wanted = query.parameters.get("format")
-    if wanted == "cbor" or wanted == "json":
-        return "cbor" if wanted == "cbor" else "json"
-    encoding = str(query.encoding or "")
-    if query.payload is not None and not encoding.startswith(("application/cbor", "application/json")):
-        return "cbor" if 0xA0 <= query.payload.to_bytes()[:1].ljust(1)[0] < 0xC0 else "json"  # a CBOR mapping
-    return "cbor" if encoding.startswith("application/cbor") else "json"
 
 
 def _check_belongs(stream: keys.Input, observation: Any) -> None:
