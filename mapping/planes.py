@@ -22,6 +22,7 @@ Array: TypeAlias = NDArray[Any]
 Key: TypeAlias = tuple[int, int, int]
 
 _HYPOTHESES = 12
+_TURNED = float(np.cos(np.deg2rad(10.0)))
 _REACH_M = 0.25
 """Coarse cell for telling pieces apart: gaps above twice this always part a plane."""
 
@@ -299,7 +300,7 @@ class PlaneMap:
         self._put(keys, first, slot_of, points, normals)
         touched.update(np.unique(slot_of[slot_of >= 0]).tolist())
         touched.update(new)
-        kernels.fit_all(self._moments, np.array(sorted(touched), np.int64), self._normal, self._offset)
+        self._refit(touched)
         merged = self._merge(place_keys, touched)
         self._split(touched, shrunk)
         return self._publish(touched, merged)
@@ -341,14 +342,9 @@ class PlaneMap:
         normals = np.concatenate([block.normals for _, block in old])
         self._sum(slot_of, points, normals, -1)
         for key, block in old:
-            here = self._places[self._place(key)]
-            for slot, n in block.counts.items():
+            self._count(key, block.counts, -1)
+            for slot in block.counts:
                 held.setdefault(slot, set()).add(key)
-                self._on[slot].pop(key)
-                if here[slot] == n:
-                    del here[slot]
-                else:
-                    here[slot] -= n
         return set(held), held
 
     def _put(self, keys: list[Key], first: Array, slot_of: Array, points: Array, normals: Array) -> None:
@@ -362,14 +358,19 @@ class PlaneMap:
             counts = dict(zip(slots.tolist(), n.tolist(), strict=True))
             counts.pop(-1, None)
             self._blocks[key] = _Block(points[low:high], normals[low:high], slot_of[low:high], counts)
-            self._note(key, counts)
+            self._count(key, counts, 1)
 
-    def _note(self, key: Key, counts: dict[int, int]) -> None:
-        if counts:
-            here = self._places.setdefault(self._place(key), {})
-            for slot, n in counts.items():
-                here[slot] = here.get(slot, 0) + n
-                self._on[slot][key] = n
+    def _count(self, key: Key, counts: Mapping[int, int], sign: int) -> None:
+        """Note that a block got (`sign` 1) or lost (−1) so many samples of each slot."""
+        if not counts:
+            return
+        place = self._place(key)
+        here = self._places.setdefault(place, {})
+        for slot, n in counts.items():
+            _add(here, slot, sign * n)
+            _add(self._on[slot], key, sign * n)
+        if not here:
+            del self._places[place]
 
     def _sum(self, slot_of: Array, points: Array, normals: Array, sign: int) -> None:
         """Add samples to (or take them from) the moments and rasters of their planes."""
@@ -452,6 +453,20 @@ class PlaneMap:
         self._on[slot].clear()
         self._free.append(slot)
 
+    def _refit(self, slots: Iterable[int]) -> None:
+        """Fit planes to their samples, and turn rasters that have come to lie badly on their plane."""
+        rows = np.array(sorted(slots), np.int64)
+        kernels.fit_all(self._moments, rows, self._least_patch, self._normal, self._offset)
+        for slot in rows.tolist():
+            frame = self._covered(slot).frame
+            if self._normal[slot] @ frame.normal > _TURNED:
+                continue
+            best = PlaneFrame.about(frame.origin, self._normal[slot])
+            if best.normal @ frame.normal < _TURNED:
+                coverage = Coverage(best, self.voxel_size_m)
+                coverage.add(self._samples(slot)[0])
+                self._coverage[slot] = coverage
+
     def _covered(self, slot: int) -> Coverage:
         coverage = self._coverage[slot]
         assert coverage is not None
@@ -482,16 +497,9 @@ class PlaneMap:
             if not block.slot_of.flags.owndata:
                 block.slot_of = block.slot_of.copy()
             block.slot_of[part] = new
-            here = self._places[self._place(key)]
-            for slot, n in ((old, -len(part)), (new, len(part))):
-                for counts in (block.counts, here):
-                    counts[slot] = counts.get(slot, 0) + n
-                    if counts[slot] == 0:
-                        del counts[slot]
-                on = self._on[slot]
-                on[key] = on.get(key, 0) + n
-                if on[key] == 0:
-                    del on[key]
+            for slot, sign in ((old, -1), (new, 1)):
+                self._count(key, {slot: len(part)}, sign)
+                _add(block.counts, slot, sign * len(part))
         points, normals = points[chosen], normals[chosen]
         if len(points):
             self._sum(np.full(len(points), old, np.int32), points, normals, -1)
@@ -534,7 +542,7 @@ class PlaneMap:
                 self._id[large] = ids[0]
                 self._slot_of_id[ids[0]] = large
             self._release(small)
-            kernels.fit_all(self._moments, np.array([large], np.int64), self._normal, self._offset)
+            self._refit({large})
         for old in merged:
             while merged[old] in merged:
                 merged[old] = merged[merged[old]]
@@ -572,8 +580,7 @@ class PlaneMap:
                 points = self._samples(slot)[0]
                 self._move(slot, new, coverage.part_of(points, labels, stride) == p)
                 touched.add(new)
-            changed = np.array(sorted(touched), np.int64)
-            kernels.fit_all(self._moments, changed, self._normal, self._offset)
+            self._refit(touched)
 
     def _publish(self, touched: set[int], merged: dict[int, int]) -> PlaneChange:
         """Give ids to what has become large enough, and say what changed."""
@@ -584,8 +591,6 @@ class PlaneMap:
             coverage = self._covered(slot)
             n = self._moments[slot, 0]
             area = coverage.area_m2(self._normal[slot]) if n > 0.5 else 0.0
-            if n > 0.5:
-                self._reframe(slot)
             if plane_id < 0 and area >= self.min_area_m2:
                 plane_id = self._next_id
                 self._next_id += 1
@@ -602,14 +607,14 @@ class PlaneMap:
                 self._release(slot)
         return PlaneChange(tuple(changed), tuple(deleted), merged)
 
-    def _reframe(self, slot: int) -> None:
-        """Turn a raster that has come to lie badly on its plane."""
-        frame = self._covered(slot).frame
-        best = PlaneFrame.about(frame.origin, self._normal[slot])
-        if best.normal @ frame.normal < np.cos(np.deg2rad(10.0)):
-            coverage = Coverage(best, self.voxel_size_m)
-            coverage.add(self._samples(slot)[0])
-            self._coverage[slot] = coverage
+
+def _add(counts: dict[Any, int], key: Any, n: int) -> None:
+    """Add to a count, which is not kept when it is zero."""
+    total = counts.get(key, 0) + n
+    if total:
+        counts[key] = total
+    else:
+        counts.pop(key, None)
 
 
 def extract_planes(

@@ -6,6 +6,7 @@
             supports_label/2,           % ?Class, ?Label
             neutral_class/1,            % ?Class
             wall_height/1,              % ?Metres
+            wall_width/1,               % ?Metres
             wall_ceiling_gap/1,         % ?Metres
             wall_floor_gap/1,           % ?Metres
             ceiling_clearance/1,        % ?Metres
@@ -62,6 +63,13 @@ Example: a table top above a floor cannot be a floor as well.
 
 wall_height(1.0).
 
+%!  wall_width(?Metres) is det.
+%
+%   A wall is at least this wide: narrower uprights are the reveals of
+%   doors and windows, frames and pipes.
+
+wall_width(0.35).
+
 %!  wall_ceiling_gap(?Metres) is det.
 %
 %   A wall reaches up to this close to the ceiling above it, wardrobes and
@@ -110,9 +118,9 @@ evident_share(0.5).
 
 %!  evidence_weight(?Cost) is det.
 %
-%   Cost of going against labels on the whole surface of a plane. More
-%   than half of largest_weight/1: labels beat size unless they are
-%   divided.
+%   Cost of going against labels on the whole surface of a plane. As much
+%   as a plane of this many square metres: large walls stay walls when half
+%   of what was seen on them belongs to something else.
 
 evidence_weight(5.0).
 
@@ -125,10 +133,11 @@ smallest_weight(0.5).
 
 %!  largest_weight(?Cost) is det.
 %
-%   Cost of calling a large plane no_feature; grows with 1 a square metre
-%   up to this. Walls are all large: which is larger says no more.
+%   Cost of calling the largest plane no_feature. The cost grows with 1 a
+%   square metre up to this: a floor outweighs all the tables on it, the
+%   halls of a station do not outweigh everything.
 
-largest_weight(6.0).
+largest_weight(40.0).
 
 %!  prior_cost(?Label, ?Cost) is det.
 %
@@ -258,9 +267,11 @@ evident_label(plane(_, _, _, _, _, _, Evidence), Label) :-
     evident_share(Enough),
     Share >= Enough.
 
-faces(wall, plane(_, side, _, _, _, _, _)).
-faces(wall, plane(_, oblique, _, _, _, _, _)).
-faces(door, plane(_, side, _, _, _, _, _)).
+faces(wall, plane(_, side, _, _, Width, _, _)) :-
+    wall_width(Least),
+    Width >= Least.
+faces(door, Plane) :-
+    faces(wall, Plane).
 faces(floor, plane(_, up, _, _, _, _, _)).
 faces(floor, plane(_, oblique, _, _, _, _, _)).
 faces(ceiling, plane(_, down, _, _, _, _, _)).
@@ -268,7 +279,9 @@ faces(ceiling, plane(_, oblique, _, _, _, _, _)).
 
 fits(floor, plane(_, up, _, _, _, _, _)).
 fits(ceiling, plane(_, down, _, _, _, _, _)).
-fits(wall, plane(_, side, ZMin, ZMax, _, _, _)) :-
+fits(wall, Plane) :-
+    faces(wall, Plane),
+    Plane = plane(_, _, ZMin, ZMax, _, _, _),
     wall_height(Least),
     ZMax-ZMin >= Least.
 fits(door, plane(_, side, ZMin, ZMax, Width, _, _)) :-
@@ -285,8 +298,14 @@ fits(door, plane(_, side, ZMin, ZMax, Width, _, _)) :-
 %!  allowed(+Relation, +PlaneA, ?LabelA, +PlaneB, ?LabelB) is semidet.
 %
 %   PlaneA and PlaneB, in this Relation, can have these labels. Labels that
-%   are evident on both planes need no geometry to confirm them.
+%   are evident on both planes need no geometry to confirm them. Of
+%   uprights, equalheight says that they meet in a corner and end at the
+%   same height: that is a box, and not a leaf, whatever the other is.
 
+allowed(equalheight, A, LabelA, B, LabelB) :-
+    once(( LabelA == door ; LabelB == door )),
+    !,
+    exempt(equalheight, A, LabelA, B, LabelB).
 allowed(_, _, no_feature, _, _) :-
     !.
 allowed(_, _, _, _, no_feature) :-
@@ -325,7 +344,6 @@ goes(orthogonal, ceiling, door).
 goes(equalheight, floor, floor).
 goes(equalheight, ceiling, ceiling).
 goes(equalheight, wall, wall).
-goes(equalheight, door, door).
 goes(above, ceiling, floor).
 goes(above, ceiling, wall).
 goes(above, ceiling, door).

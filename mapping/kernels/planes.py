@@ -64,10 +64,10 @@ def fit(moments, normal):
 
 
 @njit(cache=True)
-def fit_all(moments, rows, normal, offset):
-    """Fit the planes `rows` (K,) of `moments` (P, 13) that have three samples or more: normal (P, 3), offset (P,), in place."""
+def fit_all(moments, rows, least, normal, offset):
+    """Fit the planes `rows` (K,) of `moments` (P, 13) that have `least` samples (≥ 3): normal (P, 3), offset (P,), in place."""
     for row in rows:
-        if moments[row, 0] >= 3.0:
+        if moments[row, 0] >= least:
             offset[row], _ = fit(moments[row], normal[row])
 
 

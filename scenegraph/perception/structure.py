@@ -84,10 +84,10 @@ def _plane_term(plane: PlaneFacts) -> Compound:
 
 # -- measuring ---------------------------------------------------------------------------------------------------
 
-_LEVEL = float(np.cos(np.deg2rad(15.0)))  # a normal this close to the vertical: level
-_UPRIGHT = float(np.sin(np.deg2rad(15.0)))
-_PARALLEL = float(np.cos(np.deg2rad(12.0)))
-_ORTHOGONAL = float(np.sin(np.deg2rad(12.0)))
+_LEVEL = float(np.cos(np.deg2rad(18.0)))  # a normal this close to the vertical: level
+_UPRIGHT = float(np.sin(np.deg2rad(18.0)))
+_PARALLEL = float(np.cos(np.deg2rad(6.0)))  # well-seen planes are known to a degree or two
+_ORTHOGONAL = float(np.sin(np.deg2rad(6.0)))
 _EQUAL_M = 0.1  # heights this close are equal
 _STOREY_M = 2.3  # floors (ceilings) further apart than this belong to different storeys
 _BESIDE_M = 0.4  # a wall stands this close to the border of its floor and ceiling
