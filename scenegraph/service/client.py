@@ -164,7 +164,7 @@ class Client:
     ) -> ObservationReply:
         """Send an observation and wait until it is mapped; none is dropped. The reply tells the graph's revision.
 
-        The very first image on a machine waits for the kernels to be compiled, hence the long `timeout_s`; that a server
+        The very first image on a machine waits for kernels to be compiled, hence the long `timeout_s`; that a server
         has died is noticed at once.
         """
         path = keys.input_key(self.world, observation).removeprefix(keys.key(self.world) + "/")
