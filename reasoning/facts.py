@@ -5,6 +5,7 @@ The engine's process may be killed; what it knew is kept here, one line a fact, 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Final
 
@@ -45,6 +46,9 @@ _IDS: Final[dict[tuple[str, int], tuple[int, ...]]] = {
     ("edge", 6): (1, 2),
 }
 Key = tuple[str, ...]
+
+#: An attribute's text that is a plain name is told as one, so that it can be asked for as `red` and not only as "red".
+_NAME: Final = re.compile(r"[a-z][a-z0-9_]*\Z", re.ASCII)
 
 
 class FactStore:
@@ -116,6 +120,8 @@ def _keyed(fact: Compound) -> tuple[Key, str, tuple[str, ...]]:
         raise InvalidFact(f"fact: {fact!s} is not a fact of this world: expected one of {known}")
     name, arguments = fact.name, fact.args
     arity = len(arguments)
+    if name == "attribute" and type(arguments[2]) is str and _NAME.match(arguments[2]):
+        arguments = (*arguments[:2], Atom(arguments[2]))
     texts = [_argument(argument) for argument in arguments]
     if name == "measured" and arity == 4 and texts[0] in SYMMETRIC and texts[1] > texts[2] and "_" not in texts[1:3]:
         texts[1], texts[2] = texts[2], texts[1]

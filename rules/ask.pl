@@ -10,11 +10,12 @@
 :- use_module(vocabulary).
 :- use_module(viewpoint).
 :- use_module(goals).
+:- use_module(readings).
 :- use_module(explain).
 
 /** <module> Asking, with limits
 
-A goal is read, checked and compiled by goals.pl into two readings, what is
+A goal is read and checked by goals.pl, compiled by readings.pl into what is
 certain and what is possible, and run here under limits of time, inferences and
 answers. Whatever goes wrong becomes problem(Code, Message, Hint).
 */

@@ -10,7 +10,7 @@
 :- use_module(rooms).
 :- use_module(viewpoint).
 :- use_module(vocabulary).
-:- use_module(goals).
+:- use_module(readings).
 
 /** <module> Why, and why not
 

@@ -1,38 +1,25 @@
 :- module(goals,
           [ read_goal/4,                % +Text, -Goal, -Bindings, -Names
-            readings/3,                 % +Goal, -Certain, -Possible
-            visible_variables/2,        % +Goal, -Variables
-            nearest/3,                  % +Name, +Candidates, -Nearest
-            some/2,                     % ?Visible, :Goal
-            maybe/1,                    % :Goal
-            settled/4                   % +Template, :Certain, :Possible, -Bag
+            user_word/1                 % ?Head
           ]).
 :- use_module(library(lists)).
 :- use_module(library(apply)).
-:- use_module(library(aggregate)).
-:- use_module(library(solution_sequences)).
-:- use_module(library(isub)).
 :- use_module(facts).
 :- use_module(vocabulary).
+:- use_module(names).
 
-/** <module> From the text of a question to two goals that may be run
+/** <module> From the text of a question to a goal that may be run
 
 read_goal/4 checks a question against the vocabulary and turns it into a tree:
 
   * literal(Call, Hidden, Visible): a word of the vocabulary; Hidden is a list of
     Variable-Class for the class names that stood in it
-  * plain(Call): logic-free builtins (comparison, arithmetic, lists)
+  * plain(Call): builtins without an effect (comparison, arithmetic, lists)
   * and/2, or/2, if/3, not/1, all/2, once/1, collect/3, sequence/2
 
 What is not in the vocabulary and not in the short lists below is refused before
-anything runs. readings/3 compiles the tree into what is certain and what is
-possible; negation swaps the two.
+anything runs. readings.pl makes callable goals of the tree.
 */
-
-:- meta_predicate
-    some(?, 0),
-    maybe(0),
-    settled(+, 0, 0, -).
 
 longest_goal(20_000).
 
@@ -213,10 +200,18 @@ askable(Name, Arity, Kinds, vocabulary) :-
     Head =.. [_|Kinds].
 askable(Name, Arity, Kinds, user_rules) :-
     functor(Head, Name, Arity),
-    current_predicate(user_rules:Name/Arity),
-    \+ predicate_property(user_rules:Head, imported_from(_)),
+    user_word(Head),
     length(Kinds, Arity),
     maplist(=(any), Kinds).
+
+%!  user_word(+Head) is semidet.
+%
+%   Head is a predicate of a user's rule file.
+
+user_word(Head) :-
+    functor(Head, Name, Arity),
+    current_predicate(user_rules:Name/Arity),
+    \+ predicate_property(user_rules:Head, imported_from(_)).
 
 arguments([], [], _, _, [], []).
 arguments([Argument|Arguments], [Kind|Kinds], Word, Index, [Called|CalledMore], Hidden) :-
@@ -285,77 +280,6 @@ known(value, Value) :-
         ( memberchk(Value, Names) -> true ; unknown_name(Value, Names) )
     ).
 known(_, _).
-
-known_key(Key) :- attribute(_, Key, _).
-known_key(color).
-known_key(colour).
-known_key(material).
-known_key(state).
-known_key(type).
-known_key(front).
-
-known_value(Value) :- attribute(_, _, Value), atom(Value).
-known_value(Value) :- type_name(Value).
-known_value(Value) :-
-    member(Value, [ red, green, blue, yellow, orange, brown, black, white, grey, gray, pink, purple, beige,
-                    open, closed, true, false, wood, metal, glass, plastic, fabric, stone, ceramic, paper ]).
-
-type_name(Type) :- rooms:type_of_room(Type).
-
-unknown_name(Atom, Names) :-
-    nearest(Atom, Names, Nearest),
-    format(string(Message), "~q is neither an id, a class, a name nor a value that is known", [Atom]),
-    did_you_mean(Nearest, Hint),
-    throw(problem(unknown_name, Message, Hint)).
-
-did_you_mean([], "") :- !.
-did_you_mean(Names, Hint) :-
-    maplist(in_backquotes, Names, Quoted),
-    atomic_list_concat(Quoted, ', ', List),
-    format(string(Hint), "did you mean ~w?", [List]).
-
-in_backquotes(Name, Quoted) :-
-    format(atom(Quoted), "`~w`", [Name]).
-
-%!  nearest(+Name:atom, +Candidates:list(atom), -Nearest:list(atom)) is det.
-%
-%   The up to three Candidates that are spelled most like Name, best first.
-
-nearest(Name, Candidates, Nearest) :-
-    sort(Candidates, Unique),
-    findall(Likeness-Candidate,
-            ( member(Candidate, Unique),
-              likeness(Name, Candidate, Likeness) ),
-            Scored),
-    sort(1, @>=, Scored, Sorted),
-    findall(C, ( nth1(I, Sorted, _-C), I =< 3 ), Nearest).
-
-likeness(Name, Candidate, 1) :-
-    one_edit(Name, Candidate),
-    !.
-likeness(Name, Candidate, Likeness) :-
-    isub(Name, Candidate, Likeness, [normalize(true), zero_to_one(true)]),
-    Likeness > 0.6.
-
-%   one_edit(+A, +B): a letter is missing, too many, another, or two are exchanged.
-one_edit(A, B) :-
-    atom_length(A, LA),
-    atom_length(B, LB),
-    abs(LA-LB) =< 1,
-    atom_codes(A, As),
-    atom_codes(B, Bs),
-    same_start(As, Bs, RestA, RestB),
-    (   RestA = [_|Same], RestB = [_|Same]
-    ;   RestA = [_|RestB]
-    ;   RestB = [_|RestA]
-    ;   RestA = [X,Y|Same], RestB = [Y,X|Same]
-    ),
-    !.
-
-same_start([X|As], [X|Bs], RestA, RestB) :-
-    !,
-    same_start(As, Bs, RestA, RestB).
-same_start(As, Bs, As, Bs).
 
 refuse(Term) :-
     functor(Term, Name, Arity),
@@ -433,125 +357,3 @@ hidden_variables(Goal, Hidden, Rest) :-
     Goal =.. [_|Parts],
     foldl(hidden_variables, Parts, Hidden, Rest).
 hidden_variables(_, Hidden, Hidden).
-
-                /*******************************
-                *        TWO READINGS          *
-                *******************************/
-
-%!  readings(+Goal, -Certain, -Possible) is det.
-%
-%   Two callable goals over the variables of Goal: what is known to be true, and
-%   what is not known to be false.
-
-readings(literal(Call, Hidden, Visible), Certain, Possible) :- !,
-    certain_literal(Call, Hidden, Visible, Certain),
-    possible_literal(Call, Hidden, Visible, Possible).
-readings(plain(Call), goals:Call, goals:maybe(goals:Call)) :- !.
-readings(and(A, B), (CA, CB), (PA, PB)) :- !,
-    readings(A, CA, PA),
-    readings(B, CB, PB).
-readings(or(A, B), (CA ; CB), (PA ; PB)) :- !,
-    readings(A, CA, PA),
-    readings(B, CB, PB).
-readings(if(A, B, C), (CA -> CB ; \+ PA, CC), (PA, PB ; \+ CA, PC)) :- !,
-    readings(A, CA, PA),
-    readings(B, CB, PB),
-    readings(C, CC, PC).
-readings(not(A), \+ PA, \+ CA) :- !,
-    readings(A, CA, PA).
-readings(all(A, B), \+ ( PA, \+ CB ), \+ ( CA, \+ PB )) :- !,
-    readings(A, CA, PA),
-    readings(B, CB, PB).
-readings(once(A), once(CA), PA) :- !,
-    readings(A, CA, PA).
-readings(sequence(How, A), Certain, PA) :- !,
-    readings(A, CA, PA),
-    How =.. List,
-    append(List, [CA], Call),
-    Certain0 =.. Call,
-    Certain = solution_sequences:Certain0.
-readings(collect(How, Template, A), Certain, Possible) :-
-    readings(A, CA, PA),
-    Certain = ( goals:settled(Template, CA, PA, Bag), goals:summary(How, Bag) ),
-    Possible = ( goals:settled(Template, CA, PA, Bag) -> goals:summary(How, Bag) ; true ).
-
-certain_literal(Call, Hidden, Visible, Certain) :-
-    qualified(Call, Goal),
-    (   Hidden == []
-    ->  Certain = Goal
-    ;   Hidden = [First-Class|Others],
-        types(Others, OtherTypes),
-        FirstType = vocabulary:instance_of(First, Class),
-        Certain = goals:some(Visible, goals:joined(Visible, FirstType, Goal, OtherTypes))
-    ).
-
-possible_literal(Call, Hidden, Visible, Possible) :-
-    ( Call = _:_ -> Goal = Call ; Goal = vocabulary:possibly(Call) ),
-    (   Hidden == []
-    ->  Possible = Goal
-    ;   possible_types(Hidden, Types),
-        Possible = goals:some(Visible, ( Types, Goal ))
-    ).
-
-qualified(Module:Call, Module:Call) :- !.
-qualified(Call, vocabulary:Call).
-
-types([], true).
-types([Variable-Class|Hidden], ( vocabulary:instance_of(Variable, Class), Types )) :-
-    types(Hidden, Types).
-
-possible_types([], true).
-possible_types([Variable-Class|Hidden], ( vocabulary:possible_instance(Variable, Class), Types )) :-
-    possible_types(Hidden, Types).
-
-%   joined(+Visible, +FirstType, +Goal, +OtherTypes): start from what is bound.
-joined(Visible, FirstType, Goal, OtherTypes) :-
-    (   member(Variable, Visible),
-        nonvar(Variable)
-    ->  call(Goal),
-        call(FirstType),
-        call(OtherTypes)
-    ;   call(FirstType),
-        call(Goal),
-        call(OtherTypes)
-    ).
-
-%!  some(?Visible, :Goal) is nondet.
-%
-%   Goal's answers without repetition of Visible: the class names in it stand
-%   for some thing, whichever.
-
-some(Visible, Goal) :-
-    (   ground(Visible)
-    ->  once(Goal)
-    ;   distinct(Visible, Goal)
-    ).
-
-%!  maybe(:Goal) is nondet.
-%
-%   Goal, or true where Goal lacks a value that nobody knows.
-
-maybe(Goal) :-
-    catch(Goal, error(instantiation_error, _), true).
-
-%!  settled(+Template, :Certain, :Possible, -Bag) is semidet.
-%
-%   Bag is findall/3 of Certain, if nothing more than that is possible.
-
-settled(Template, Certain, Possible, Bag) :-
-    findall(Template, Certain, Bag),
-    findall(Template, Possible, All),
-    sort(Bag, Set),
-    sort(All, AllSet),
-    AllSet =@= Set.
-
-summary(findall(_, Bag), Bag).
-summary(aggregate_all(Spec, Result), Bag) :-
-    summarised(Spec, Bag, Result).
-
-summarised(Spec, Bag, Result) :-
-    (   Spec == count
-    ->  length(Bag, Result)
-    ;   copy_term(Spec, Copy),
-        aggregate_all(Copy, member(Copy, Bag), Result)
-    ).

@@ -6,7 +6,7 @@
 :- use_module(facts).
 :- use_module(taxonomy).
 :- use_module(vocabulary).
-:- use_module(goals, [nearest/3]).
+:- use_module(names).
 
 /** <module> A little English: where things are, and which are meant
 
@@ -103,7 +103,7 @@ adjectives(_, Rest, Rest) --> [].
 adjective(Value) :-
     attribute(_, _, Value), !.
 adjective(Value) :-
-    goals:known_value(Value), !.
+    known_value(Value), !.
 
 noun(Thing, NounGoal) -->
     { member(Length, [4, 3, 2, 1]), length(Words, Length) },
@@ -233,9 +233,9 @@ complaint(Words, problem(not_understood, Message, Hint)) :-
     unknown_word(Words, Word),
     !,
     format(string(Message), "I do not know the word `~w`", [Word]),
-    findall(Known, ( known_class(Known) ; node(Known, _) ; goals:known_value(Known) ), Names),
+    findall(Known, ( known_class(Known) ; node(Known, _) ; known_value(Known) ), Names),
     nearest(Word, Names, Nearest),
-    goals:did_you_mean(Nearest, Hint).
+    did_you_mean(Nearest, Hint).
 complaint(Words, problem(not_understood, Message, "say, for example, the red cup on the table, or near the oven")) :-
     last(Words, Last),
     format(string(Message), "I know the words but not what they mean together; they end with `~w`", [Last]).

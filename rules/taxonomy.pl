@@ -36,6 +36,8 @@ kind(window, building_element).         kind(stairs, building_element).
 kind(pillar, building_element).         kind(radiator, building_element).
 kind(opening, building_element).        kind(door_frame, building_element).
 
+kind(building_element, structure).
+
 % Furniture
 kind(seat, furniture).                  kind(surface, furniture).
 kind(storage, furniture).               kind(bed, furniture).

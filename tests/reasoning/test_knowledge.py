@@ -97,6 +97,15 @@ def test_a_variable_in_what_is_deleted_matches_anything(fresh: KnowledgeBase) ->
     )
 
 
+def test_an_attributes_plain_text_can_be_asked_for_as_a_name(fresh: KnowledgeBase) -> None:
+    fresh.update(
+        [fact("attribute", "sofa_1", "color", "=green"), fact("attribute", "tv_1", "note", "=Ada's, do not touch")]
+    )
+    assert fresh.ask("attribute(X, color, green)").answers == ({"X": Atom("sofa_1")},)
+    assert fresh.ask("attribute(tv_1, note, X)").answers == ({"X": "Ada's, do not touch"},)
+    assert fresh.phrase("the green sofa").problem is None
+
+
 def test_a_symmetric_measurement_has_no_direction(fresh: KnowledgeBase) -> None:
     fresh.update([fact("measured", "gap", "table_1", "apple_1", 0.01)])
     assert fresh.ask("touching(apple_1, table_1)").truth == "true"

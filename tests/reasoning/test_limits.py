@@ -163,6 +163,58 @@ def test_rule_files_may_override_thresholds_and_add_words(tmp_path: Path) -> Non
         assert knowledge.ask("stacked(book_1)").truth == "true"
 
 
+def test_a_users_rule_is_unknown_where_what_it_rests_on_is(tmp_path: Path) -> None:
+    rules = tmp_path / "mine.pl"
+    rules.write_text(
+        """
+        handy(X) :- instance_of(O, oven), near(X, O).
+        safe(X) :- instance_of(X, furniture), instance_of(O, oven), \\+ near(X, O).
+        either(X) :- ( handy(X) ; safe(X) ).
+        chosen(X, Y) :- ( handy(X) -> Y = handy ; Y = not_handy ).
+        first(X) :- on(X, _), !.
+        calm :- forall(instance_of(X, chair), \\+ handy(X)).
+        """
+    )
+    with KnowledgeBase([rules]) as knowledge:
+        knowledge.update(small_home())
+        truths = {
+            goal: knowledge.ask(goal).truth
+            for goal in (
+                "handy(cup_1)",
+                "handy(chair_1)",
+                "handy(tv_1)",
+                "handy(chair)",
+                "safe(chair_1)",
+                "safe(table_1)",
+                "safe(sofa_1)",
+                "\\+ handy(chair_1)",
+                "either(chair_1)",
+                "chosen(cup_1, handy)",
+                "chosen(tv_1, not_handy)",
+                "chosen(chair_1, handy)",
+                "first(X)",
+                "calm",
+            )
+        }
+        assert truths == {
+            "handy(cup_1)": "true",
+            "handy(chair_1)": "unknown",
+            "handy(tv_1)": "false",
+            "handy(chair)": "unknown",
+            "safe(chair_1)": "unknown",
+            "safe(table_1)": "false",
+            "safe(sofa_1)": "true",
+            "\\+ handy(chair_1)": "unknown",
+            "either(chair_1)": "unknown",
+            "chosen(cup_1, handy)": "true",
+            "chosen(tv_1, not_handy)": "true",
+            "chosen(chair_1, handy)": "unknown",
+            "first(X)": "true",
+            "calm": "unknown",
+        }
+        assert "a user's rule" in (knowledge.ask("handy(X)", explain=True).explanation or "").text  # type: ignore[union-attr]
+
+
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [

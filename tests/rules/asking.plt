@@ -2,6 +2,8 @@
 :- use_module(rules(facts)).
 :- use_module(rules(vocabulary)).
 :- use_module(rules(goals)).
+:- use_module(rules(names)).
+:- use_module(library(sandbox)).
 :- use_module(rules(ask)).
 :- use_module(library(plunit)).
 :- use_module(library(lists)).
