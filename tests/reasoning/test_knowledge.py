@@ -1,4 +1,4 @@
-"""Facts are kept by key, in the engine as in the memory that a new engine is told from; and the Python face of it all."""
+"""Facts are kept by key, in the engine as in the memory that a new one is told from; and the Python face of it all."""
 
 from __future__ import annotations
 
@@ -44,11 +44,9 @@ def everything(knowledge: KnowledgeBase) -> list[str]:
         "told(A)": "told(A)",
         "parameter(A, B)": "parameter(A, B)",
     }
-    found = []
-    for goal, template in goals.items():
-        for row in knowledge.call(f"T = {template}, {goal}"):
-            found.append(term_text(row["T"]))
-    return sorted(found)
+    return sorted(
+        term_text(row["T"]) for goal, template in goals.items() for row in knowledge.call(f"T = {template}, {goal}")
+    )
 
 
 def remembered(knowledge: KnowledgeBase) -> list[str]:
