@@ -6,6 +6,7 @@
 :- use_module(library(lists)).
 :- use_module(library(apply)).
 :- use_module(library(time)).
+:- use_module(library(terms)).
 :- use_module(facts).
 :- use_module(vocabulary).
 :- use_module(viewpoint).
@@ -50,7 +51,7 @@ binding(Name=Value, Name, Value).
 answers(Goal, Row, Limit, Deadline, Inferences, Rows, Truncated, Problem) :-
     readings(Goal, Certain, _),
     retractall(answer(_)),
-    Count = count(0),
+    Count = count(0, 0),                % answers, cells in them
     trie_new(Seen),
     limited(collect(Certain, Row, Limit, Seen, Count), Deadline, Inferences, Problem),
     trie_destroy(Seen),
@@ -68,6 +69,7 @@ collect(Goal, Row, _, _, _) :-
 collect(Goal, Row, Limit, Seen, Count) :-
     call(Goal),
     acyclic_term(Row),
+    fits_reply(Row, Count),
     trie_insert(Seen, Row),
     assertz(answer(Row)),
     arg(1, Count, Before),
@@ -76,6 +78,20 @@ collect(Goal, Row, Limit, Seen, Count) :-
     Now > Limit,
     !.
 collect(_, _, _, _, _).
+
+%   All answers together stay within what a reply can carry.
+largest_reply(500_000).
+
+fits_reply(Row, Count) :-
+    term_size(Row, Cells),
+    arg(2, Count, Before),
+    After is Before+Cells,
+    nb_setarg(2, Count, After),
+    largest_reply(Most),
+    (   After =< Most
+    ->  true
+    ;   throw(problem(resource_limit, "the answers are too large for a reply", "ask for less at a time"))
+    ).
 
 %   truth(+Goal, +Rows, +Deadline, +Inferences, +Problem, -Truth, -LastProblem)
 truth(_, [_|_], _, _, Problem, true, Problem) :- !.
@@ -156,6 +172,8 @@ problem_of(error(type_error(Type, Culprit), _), problem(bad_argument, Message, "
     format(string(Message), "expected ~w, found ~q", [Type, Culprit]).
 problem_of(error(instantiation_error, _), problem(unbound_variable, "a comparison or sum was reached before its variables had values",
                                                   "place it after the literals that give them values")) :- !.
+problem_of(error(existence_error(matching_rule, _), _), Problem) :- !,
+    problem_of(error(instantiation_error, _), Problem).
 problem_of(error(evaluation_error(What), _), problem(bad_argument, Message, "")) :- !,
     format(string(Message), "arithmetic: ~w", [What]).
 problem_of(error(Formal, _), problem(goal_error, Message, "")) :- !,

@@ -105,7 +105,10 @@ json_rest([Term|Terms], Depth) :-
 
 json_number(Number) :-
     integer(Number), !,
-    (   -9223372036854775808 =< Number, Number < 9223372036854775808
+    (   Number =\= 0,
+        msb(abs(Number)) > 100_000
+    ->  throw(problem(resource_limit, "an answer holds a number of more than 30 000 digits", ""))
+    ;   -9223372036854775808 =< Number, Number < 9223372036854775808
     ->  write(Number)
     ;   format("{\"i\":\"~16r\"}", [Number])
     ).

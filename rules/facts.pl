@@ -43,6 +43,59 @@ unobserved space left it open.
 
 current_revision(0).
 
+%!  node(?Id, ?Layer) is nondet.
+%
+%   Id is a node of the graph; Layer is building, storey, room, place, object,
+%   structure or agent.
+
+%!  label(?Id, ?Class) is nondet.
+%
+%   Class is what Id is called, as an atom in lower snake case.
+
+%!  named(?Id, ?Name:string) is nondet.
+%
+%   Id goes by Name. (It is told as name(Id, Name): name/2 is taken in Prolog.)
+
+%!  position(?Id, ?X, ?Y, ?Z) is nondet.
+%
+%   Id's centre is at X, Y, Z in the map frame [m].
+
+%!  size(?Id, ?SX, ?SY, ?SZ) is nondet.
+%
+%   Id's oriented box measures SX by SY on the ground and SZ in height [m].
+
+%!  yaw(?Id, ?Angle) is nondet.
+%
+%   Id's box is turned by Angle about z [rad].
+
+%!  confidence(?Id, ?Confidence) is nondet.
+%
+%   Confidence, 0 to 1, that Id is what its label says.
+
+%!  seen(?Id, ?First, ?Last) is nondet.
+%
+%   Id was first and last seen at these times [ns].
+
+%!  attribute(?Id, ?Key, ?Value) is nondet.
+%
+%   Id's attribute Key has Value.
+
+%!  told(?Term) is nondet.
+%
+%   Term is what an operator told.
+
+%!  class_info(?Class, ?Kind, ?Parent) is nondet.
+%
+%   A label space has Class, a thing or stuff, below Parent or none.
+
+%!  parameter(?Name, ?Value) is nondet.
+%
+%   A number of the map that rules need, such as voxel_size_m.
+
+%!  unobserved(?Region) is nondet.
+%
+%   Part of Region, such as `world`, has not been seen.
+
 %!  revision(-Number:integer) is det.
 %
 %   Number grows with every update: what was derived at an older one is stale.

@@ -301,9 +301,12 @@ possibly(Goal) :-
     possibly_holds(Relation, A, B).
 possibly(Goal) :-
     own_frame(Goal, B),
-    viewer(none),
+    viewer(Viewer),
+    \+ Viewer = point(_, _, _),
     !,
     (   call(Goal)
+    ;   Viewer \== none
+    ->  \+ position(Viewer, _, _, _)
     ;   ( var(B) -> true ; \+ attribute(B, front, _) )
     ).
 possibly(Goal) :-

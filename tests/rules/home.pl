@@ -4,10 +4,6 @@
 
 /** <module> Facts for the tests of the rules */
 
-:- prolog_load_context(directory, Folder),
-   atom_concat(Folder, '/../../rules', Rules),
-   asserta(user:file_search_path(rules, Rules)).
-
 :- use_module(rules(facts)).
 
 %!  tell(+Facts:list) is det.

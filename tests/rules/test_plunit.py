@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from rules import rule_path
+
 HERE = Path(__file__).parent
 
 
@@ -16,7 +18,19 @@ def test_the_rules_pass_their_own_tests(suite: Path) -> None:
     swipl = shutil.which("swipl")
     assert swipl, "SWI-Prolog is not installed"
     run = subprocess.run(
-        [swipl, "-q", "--on-warning=status", "--on-error=status", "-g", "run_tests", "-t", "halt", str(suite)],
+        [
+            swipl,
+            "-q",
+            "-p",
+            f"rules={rule_path()}",
+            "--on-warning=status",
+            "--on-error=status",
+            "-g",
+            "run_tests",
+            "-t",
+            "halt",
+            str(suite),
+        ],
         capture_output=True,
         text=True,
         timeout=120,
