@@ -77,15 +77,21 @@ class Coverage:
     def add(self, points: Array) -> None:
         """Cover the cells of samples (N, 3) [m]."""
         cell = self._cells(points)
-        self._reserve(cell.min(axis=0), cell.max(axis=0))
-        self.n_covered += kernels.cover(self._counts, self._rows, self._columns, cell - self._low, 1)
+        low, high = np.empty((2, 2), np.int64)
+        kernels.bounds(cell, low, high)
+        self._reserve(low, high)
+        self.n_covered += kernels.cover(self._counts, self._rows, self._columns, cell, self._low, 1)
 
     def remove(self, points: Array) -> None:
         """Take away samples (N, 3) [m] that were added before."""
-        self.n_covered += kernels.cover(self._counts, self._rows, self._columns, self._cells(points) - self._low, -1)
+        cell = self._cells(points)
+        self.n_covered += kernels.cover(self._counts, self._rows, self._columns, cell, self._low, -1)
 
     def _cells(self, points: Array) -> NDArray[np.int64]:
-        return np.floor(self.frame.project(points) / self.cell_size_m).astype(np.int64)
+        cell = np.empty((len(points), 2), np.int64)
+        frame = self.frame
+        kernels.find_cells(cell, points, frame.origin, frame.u, frame.v, 1.0 / self.cell_size_m)
+        return cell
 
     def _reserve(self, low: Array, high: Array) -> None:
         size = np.array(self._counts.shape)

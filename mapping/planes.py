@@ -6,8 +6,9 @@ refinement), made incremental: what a block contributes to a plane is additive a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -20,6 +21,12 @@ from mapping.kernels import planes as kernels
 
 Array: TypeAlias = NDArray[Any]
 Key: TypeAlias = tuple[int, int, int]
+
+_SPAN, _HALF = 1 << 20, 1 << 19  # places are numbered within ± 2¹⁹ along each axis
+_BESIDE: NDArray[np.int64] = np.array(
+    [(i * _SPAN + j) * _SPAN + k for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)], np.int64
+)
+_NO_SLOTS: dict[int, int] = {}
 
 _HYPOTHESES = 12
 _TURNED = float(np.cos(np.deg2rad(10.0)))
@@ -137,7 +144,7 @@ class PlaneMap:
         self._least_patch = max(6, round(0.03 / self.voxel_size_m**2))
         self._least_group = max(12, round(0.06 / self.voxel_size_m**2))
         self._blocks: dict[Key, _Block] = {}
-        self._places: dict[Key, dict[int, int]] = {}
+        self._places: dict[int, dict[int, int]] = {}
         # one slot per plane or smaller piece
         self._moments = np.zeros((0, kernels.MOMENTS))
         self._normal = np.zeros((0, 3))
@@ -225,8 +232,8 @@ class PlaneMap:
         """Samples (N, 3) float32 [m] on a plane, evenly thinned to `at_most`."""
         slot = self._slot_of_id[plane_id]
         keys = list(self._on[slot])
-        if at_most is not None and len(keys) > at_most:
-            keys = keys[:: len(keys) // at_most + 1]
+        if at_most is not None:
+            keys = keys[:: len(keys) // (at_most // 6 + 1) + 1]
         blocks = [self._blocks[key] for key in keys]
         points = np.concatenate([block.points[block.slot_of == slot] for block in blocks])
         if at_most is not None and len(points) > at_most:
@@ -286,50 +293,35 @@ class PlaneMap:
         first = np.searchsorted(owner, np.arange(len(block_ijk) + 1))
         keys: list[Key] = list(map(tuple, block_ijk.tolist()))
         places = block_ijk >> self._place_shift
-        place_ijk, place_of_block = np.unique(places, axis=0, return_inverse=True)
-        place_of_block = place_of_block.reshape(-1)
-        place_keys: list[Key] = list(map(tuple, place_ijk.tolist()))
+        codes, at, place_of_block = np.unique(_code(places), return_index=True, return_inverse=True)
+        place_ijk = places[at]
         place_of = place_of_block[owner]
 
-        near, candidates = self._candidates(place_keys)
+        near, candidates, _ = self._nearby(codes)
         touched, shrunk = self._take_away(keys)
         slot_of = np.full(len(points), -1, np.int32)
         fit_args = (self._normal, self._offset, self.tolerance_m, self._cosine)
         kernels.match(slot_of, points, normals, place_of, near, candidates, *fit_args)
-        new = self._seed(slot_of, points, normals, place_of, place_ijk)
-        self._put(keys, first, slot_of, points, normals)
+        new = self._seed(slot_of, points, normals, place_of, codes, place_ijk)
+        self._put(keys, owner, first, slot_of, points, normals)
         touched.update(np.unique(slot_of[slot_of >= 0]).tolist())
         touched.update(new)
         self._refit(touched)
-        merged = self._merge(place_keys, touched)
+        merged = self._merge(codes, touched)
         self._split(touched, shrunk)
         return self._publish(touched, merged)
 
     # -- steps of an update -------------------------------------------------------------------------------
-    def _candidates(self, place_keys: list[Key]) -> tuple[Array, Array]:
-        """Slots of the planes in or beside each place, as rows `first` and `candidates` (see `match`)."""
-        first = np.zeros(len(place_keys) + 1, np.int64)
-        candidates: list[int] = []
-        for q, key in enumerate(place_keys):
-            candidates.extend(self._nearby(key))
-            first[q + 1] = len(candidates)
-        return first, np.array(candidates, np.int64)
+    def _nearby(self, codes: NDArray[np.int64]) -> tuple[Array, Array, list[Iterable[int]]]:
+        """Slots of the planes in or beside each place, as rows `first` and `candidates` (see `match`), and those in it."""
+        around = codes[:, None] + _BESIDE
+        known, row = np.unique(around, return_inverse=True)
+        slots = [self._places.get(code, _NO_SLOTS) for code in known.tolist()]
+        return *_gathered(slots, row.reshape(around.shape), len(self._id)), [slots[r] for r in row.reshape(around.shape)[:, 13]]
 
-    def _nearby(self, place: Key) -> list[int]:
-        i, j, k = place
-        found: set[int] = set()
-        places = self._places
-        for x in (i - 1, i, i + 1):
-            for y in (j - 1, j, j + 1):
-                for z in (k - 1, k, k + 1):
-                    here = places.get((x, y, z))
-                    if here:
-                        found.update(here)
-        return sorted(found)
-
-    def _place(self, key: Key) -> Key:
+    def _place(self, key: Key) -> int:
         s = self._place_shift
-        return key[0] >> s, key[1] >> s, key[2] >> s
+        return (((key[0] >> s) + _HALF) * _SPAN + (key[1] >> s) + _HALF) * _SPAN + (key[2] >> s) + _HALF
 
     def _take_away(self, keys: list[Key]) -> tuple[set[int], dict[int, set[Key]]]:
         """Remove what the blocks held; returns the slots touched, and of each slot the blocks that it was in."""
@@ -347,18 +339,19 @@ class PlaneMap:
                 held.setdefault(slot, set()).add(key)
         return set(held), held
 
-    def _put(self, keys: list[Key], first: Array, slot_of: Array, points: Array, normals: Array) -> None:
+    def _put(self, keys: list[Key], owner: Array, first: Array, slot_of: Array, points: Array, normals: Array) -> None:
         """Store samples, sorted by block, with the planes they are on."""
         self._sum(slot_of, points, normals, 1)
+        row, slot, n = np.empty((3, len(points)), np.int64)
+        entries = kernels.count_planes(owner, slot_of, row, slot, n)
+        counts: list[dict[int, int]] = [{} for _ in keys]
+        for r, s, m in zip(row[:entries].tolist(), slot[:entries].tolist(), n[:entries].tolist(), strict=True):
+            counts[r][s] = m
         starts = first.tolist()
-        for key, low, high in zip(keys, starts[:-1], starts[1:], strict=True):
-            if low == high:
-                continue
-            slots, n = np.unique(slot_of[low:high], return_counts=True)
-            counts = dict(zip(slots.tolist(), n.tolist(), strict=True))
-            counts.pop(-1, None)
-            self._blocks[key] = _Block(points[low:high], normals[low:high], slot_of[low:high], counts)
-            self._count(key, counts, 1)
+        for key, held, low, high in zip(keys, counts, starts[:-1], starts[1:], strict=True):
+            if low < high:
+                self._blocks[key] = _Block(points[low:high], normals[low:high], slot_of[low:high], held)
+                self._count(key, held, 1)
 
     def _count(self, key: Key, counts: Mapping[int, int], sign: int) -> None:
         """Note that a block got (`sign` 1) or lost (−1) so many samples of each slot."""
@@ -382,7 +375,9 @@ class PlaneMap:
                 coverage = self._covered(slot)
                 (coverage.add if sign > 0 else coverage.remove)(points[rows])
 
-    def _seed(self, slot_of: Array, points: Array, normals: Array, place_of: Array, place_ijk: Array) -> list[int]:
+    def _seed(
+        self, slot_of: Array, points: Array, normals: Array, place_of: Array, codes: Array, place_ijk: Array
+    ) -> list[int]:
         """Find new planes in the samples that are on none, in place; returns their slots."""
         loose = np.flatnonzero(slot_of < 0)
         if len(loose) < self._least_patch:
@@ -413,19 +408,16 @@ class PlaneMap:
         made: list[int] = slot_of_group[slot_of_group >= 0].tolist()
         if made:
             # samples that were in no patch may well be on one of the new planes
-            members: dict[int, set[int]] = {}
             on = slot_of[loose]
+            members: list[set[int]] = [set() for _ in codes]
             for q, slot in set(zip(place_of[loose[on >= 0]].tolist(), on[on >= 0].tolist(), strict=True)):
-                members.setdefault(q, set()).add(slot)
-            index = {tuple(ijk): q for q, ijk in enumerate(place_ijk.tolist())}
-            first = np.zeros(len(place_ijk) + 1, np.int64)
-            candidates: list[int] = []
-            for q, (i, j, k) in enumerate(place_ijk.tolist()):
-                beside = (index.get((i + x, j + y, k + z), -1) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1))
-                candidates.extend(sorted(set().union(*(members.get(r, set()) for r in beside))))
-                first[q + 1] = len(candidates)
+                members[q].add(slot)
+            around = codes[:, None] + _BESIDE
+            row = np.minimum(np.searchsorted(codes, around), len(codes) - 1)
+            row[codes[row] != around] = -1
+            first, candidates = _gathered(members, row, len(self._id))
             fit_args = (self._normal, self._offset, self.tolerance_m, self._cosine)
-            kernels.match(slot_of, points, normals, place_of, first, np.array(candidates, np.int64), *fit_args)
+            kernels.match(slot_of, points, normals, place_of, first, candidates, *fit_args)
         return made
 
     def _new_slot(self, origin: Array, normal: Array, offset: float) -> int:
@@ -505,16 +497,17 @@ class PlaneMap:
             self._sum(np.full(len(points), old, np.int32), points, normals, -1)
             self._sum(np.full(len(points), new, np.int32), points, normals, 1)
 
-    def _merge(self, place_keys: list[Key], touched: set[int]) -> dict[int, int]:
+    def _merge(self, codes: NDArray[np.int64], touched: set[int]) -> dict[int, int]:
         """Join coplanar planes that touch; returns id → id that it became part of."""
-        pairs: set[tuple[int, int]] = set()
-        for key in place_keys:
-            here = self._places.get(key)
-            if not here:
-                continue
-            nearby = self._nearby(key)
-            for a in here:
-                pairs.update((min(a, b), max(a, b)) for b in nearby if a != b)
+        first, nearby, inside = self._nearby(codes)
+        starts, other = first.tolist(), nearby.tolist()
+        pairs = {
+            (min(a, b), max(a, b))
+            for here, low, high in zip(inside, starts[:-1], starts[1:], strict=True)
+            for a in here
+            for b in other[low:high]
+            if a != b
+        }
         became: dict[int, int] = {}
         merged: dict[int, int] = {}
         for a, b in sorted(pairs):
@@ -606,6 +599,23 @@ class PlaneMap:
             if n <= 0.5:
                 self._release(slot)
         return PlaneChange(tuple(changed), tuple(deleted), merged)
+
+
+def _code(ijk: Array) -> NDArray[np.int64]:
+    """Places (N, 3) as numbers (N,), so that neighbours are a fixed number apart (see `_BESIDE`)."""
+    i, j, k = (ijk.astype(np.int64) + _HALF).T
+    return np.asarray((i * _SPAN + j) * _SPAN + k)
+
+
+def _gathered(slots: Sequence[Collection[int]], neighbours: Array, n_slots: int) -> tuple[Array, Array]:
+    """Slots in any of the neighbours (Q, K), rows of `slots` or −1, of each place (see `gather`)."""
+    first = np.cumsum([0, *map(len, slots)])
+    held = np.fromiter(chain.from_iterable(slots), np.int64, first[-1])
+    size = first[neighbours + 1] - first[neighbours]
+    near = np.empty(int(size[neighbours >= 0].sum()), np.int64)
+    first_near = np.empty(len(neighbours) + 1, np.int64)
+    kernels.gather(first_near, near, neighbours, first, held, np.full(n_slots, -1, np.int64))
+    return first_near, near
 
 
 def _add(counts: dict[Any, int], key: Any, n: int) -> None:

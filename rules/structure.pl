@@ -49,7 +49,6 @@ Example: a table top above a floor cannot be a floor as well.
     Labels = [1-floor, 2-no_feature].
 */
 
-:- use_module(library(apply)).
 :- use_module(library(lists)).
 :- use_module(library(pairs)).
 :- use_module(library(assoc)).
@@ -198,16 +197,16 @@ label_cost(plane(_, _, _, _, _, _, given(Label)), Label0, 0.0) :-
     !,
     Label0 = Label.
 label_cost(Plane, Label, Cost) :-
-    supports(Plane, Shares),
-    against(Plane, Shares, Against),
+    shares(Plane, Shares, Against),
     label_cost(Label, Plane, Shares, Against, Cost).
 
 label_cost(no_feature, plane(_, _, _, _, _, Area, _), Shares, Against, Cost) :-
     smallest_weight(Least),
     largest_weight(Most),
     evidence_weight(Evidence),
-    foldl([_-S, T0, T]>>(T is T0+S), Shares, 0.0, For),
-    Cost is min(Least+Area, Most)*(1.0-Against) + Evidence*For.
+    pairs_values(Shares, For),
+    sum_list(For, Sum),
+    Cost is min(Least+Area, Most)*(1.0-Against) + Evidence*Sum.
 label_cost(Label, Plane, Shares, Against, Cost) :-
     member(Label, [wall, floor, ceiling, door]),
     (   evident(Label, Shares),
@@ -217,55 +216,53 @@ label_cost(Label, Plane, Shares, Against, Cost) :-
     ),
     prior_cost(Label, Prior),
     evidence_weight(Evidence),
-    foldl([L-S, T0, T]>>(L == Label -> T = T0 ; T is T0+S), Shares, Against, Wrong),
-    Cost is Prior + Evidence*Wrong.
+    pairs_values(Shares, All),
+    sum_list(All, Sum),
+    (   memberchk(Label-Own, Shares)
+    ->  true
+    ;   Own = 0.0
+    ),
+    Cost is Prior + Evidence*(Against+Sum-Own).
 
-supports(plane(_, _, _, _, _, _, Evidence), Shares) :-
-    (   Evidence = [_|_]
-    ->  findall(Label-Share,
-                ( member(Label, [wall, floor, ceiling, door]),
-                  aggregate_share(Evidence, Label, Share),
-                  Share > 0.0
-                ),
-                Shares)
-    ;   Shares = []
-    ).
+%   Shares: Label-Share for each label that classes on the plane support.
+%   Against: the share of classes that are no structure.
 
-aggregate_share(Evidence, Label, Share) :-
-    findall(S, ( member(Class-S, Evidence), supports_label(Class, Label) ), Ss),
-    sum_list(Ss, Share).
+shares(plane(_, _, _, _, _, _, Evidence), Shares, Against) :-
+    findall(Label-Share, supporting_share(Evidence, Label, Share), Pairs),
+    keysort(Pairs, Sorted),
+    group_pairs_by_key(Sorted, Groups),
+    sums(Groups, Shares),
+    findall(Share, other_share(Evidence, Share), Others),
+    sum_list(Others, Against0),
+    Against is min(1.0, Against0).
 
-against(plane(_, _, _, _, _, _, Evidence), Shares, Against) :-
-    (   Evidence = [_|_]
-    ->  findall(S,
-                ( member(Class-S, Evidence),
-                  \+ supports_label(Class, _),
-                  \+ neutral_class(Class)
-                ),
-                Ss),
-        sum_list(Ss, Sum),
-        foldl([_-S, T0, T]>>(T is T0+S), Shares, Sum, All),
-        Against is Sum / max(1.0, All)
-    ;   Against = 0.0
-    ).
+supporting_share(Evidence, Label, Share) :-
+    member(Class-Share, Evidence),
+    supports_label(Class, Label).
+
+other_share(Evidence, Share) :-
+    member(Class-Share, Evidence),
+    \+ supports_label(Class, _),
+    \+ neutral_class(Class).
+
+sums([], []).
+sums([Label-Parts|Groups], [Label-Share|Shares]) :-
+    sum_list(Parts, Share),
+    sums(Groups, Shares).
 
 evident(Label, Shares) :-
     memberchk(Label-Share, Shares),
     evident_share(Enough),
     Share >= Enough.
 
-%!  evident(+Plane, +Label) is semidet.
-%
-%   Most of the Plane's surface carries labels that support Label.
+%   Most of what was labelled of the plane supports Label, or it is settled.
 
 evident_label(plane(_, _, _, _, _, _, given(Label0)), Label) :-
     !,
     Label == Label0.
-evident_label(plane(_, _, _, _, _, _, Evidence), Label) :-
-    Evidence = [_|_],
-    aggregate_share(Evidence, Label, Share),
-    evident_share(Enough),
-    Share >= Enough.
+evident_label(Plane, Label) :-
+    shares(Plane, Shares, _),
+    evident(Label, Shares).
 
 faces(wall, plane(_, side, _, _, Width, _, _)) :-
     wall_width(Least),
@@ -428,6 +425,8 @@ costs([Plane|Planes], Labels, Cost0, Cost) :-
 %   open planes fall apart into parts without constraints between them,
 %   each part is solved for itself.
 
+label_planes([], _, []) :-
+    !.
 label_planes(Planes, Relations, Labels) :-
     length(Planes, N),
     compound_name_arguments(Vector, planes, Planes),

@@ -98,6 +98,52 @@ def match(plane_of, points, normals, place_of, first, candidates, normal, offset
 
 
 @njit(cache=True)
+def count_planes(block_of, plane_of, row, plane, n):
+    """How many samples of each block are on each plane, in place; returns the number of entries.
+
+    block_of : (N,) int64 ascending;  plane_of : (N,) int32, negative for none
+    row, plane, n : (N,) int64 out: entry e says that n[e] samples of block row[e] are on plane[e]; by block
+    """
+    entries, begin = 0, 0
+    for i in range(len(block_of)):
+        if i > 0 and block_of[i] != block_of[i - 1]:
+            begin = entries
+        if plane_of[i] < 0:
+            continue
+        for e in range(begin, entries):
+            if plane[e] == plane_of[i]:
+                n[e] += 1
+                break
+        else:
+            row[entries], plane[entries], n[entries] = block_of[i], plane_of[i], 1
+            entries += 1
+    return entries
+
+
+@njit(cache=True)
+def gather(first_near, near, neighbours, first, planes, mark):
+    """The planes in any of each place's neighbours, each once, in place.
+
+    first_near : (Q + 1,) int64, near : (M,) int64 out: those of place q are near[first_near[q]:first_near[q + 1]]
+    neighbours : (Q, K) int64 rows of known places, −1 where there is none
+    first, planes : the planes in known place r are planes[first[r]:first[r + 1]]
+    mark       : (P,) int64 of −1, one per plane
+    """
+    n = 0
+    first_near[0] = 0
+    for q in range(len(neighbours)):
+        for r in neighbours[q]:
+            if r < 0:
+                continue
+            for e in range(first[r], first[r + 1]):
+                if mark[planes[e]] != q:
+                    mark[planes[e]] = q
+                    near[n] = planes[e]
+                    n += 1
+        first_near[q + 1] = n
+
+
+@njit(cache=True)
 def find_patches(patch_of, moments, place_of_patch, points, normals, first, hypotheses, tolerance, least_cosine, least):
     """Cut the samples of each place into flat patches, in place; returns how many.
 
@@ -290,16 +336,36 @@ def grow_patches(group_of, moments, ijk, tolerance, least_cosine):
 
 
 @njit(cache=True)
-def cover(counts, rows, columns, cell, sign):
+def find_cells(cell, points, origin, u, v, per_metre):
+    """The raster cell (N, 2) int64 that each point (N, 3) [m] projects to, in place."""
+    for i in range(len(points)):
+        x, y, z = points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2]
+        cell[i, 0] = np.int64(np.floor((x * u[0] + y * u[1] + z * u[2]) * per_metre))
+        cell[i, 1] = np.int64(np.floor((x * v[0] + y * v[1] + z * v[2]) * per_metre))
+
+
+@njit(cache=True)
+def bounds(cell, low, high):
+    """Lowest and highest cell of (N, 2), in place."""
+    low[:] = cell[0]
+    high[:] = cell[0]
+    for i in range(1, len(cell)):
+        for a in range(2):
+            low[a] = min(low[a], cell[i, a])
+            high[a] = max(high[a], cell[i, a])
+
+
+@njit(cache=True)
+def cover(counts, rows, columns, cell, lowest, sign):
     """Add (`sign` 1) or take away (−1) samples from a raster's cells, in place; returns the change in covered cells.
 
-    counts  : (U, V) uint16 samples per cell
+    counts  : (U, V) uint16 samples per cell, of which the first is cell `lowest` (2,)
     rows    : (U,) int32, columns : (V,) int32, covered cells per row and column
-    cell    : (N, 2) int64 within the raster
+    cell    : (N, 2) int64
     """
     change = 0
     for i in range(len(cell)):
-        u, v = cell[i, 0], cell[i, 1]
+        u, v = cell[i, 0] - lowest[0], cell[i, 1] - lowest[1]
         before = counts[u, v]
         if sign > 0:
             if before < 65535:

@@ -7,7 +7,7 @@ noticeably are measured anew, and only they and their neighbours are labelled an
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -185,6 +185,12 @@ def _upright_relations(a: _Seen, b: _Seen, planes: PlaneMap) -> list[Relation]:
 # -- keeping up to date --------------------------------------------------------------------------------------------
 
 
+_HUB = 24
+"""A neighbour with more relations than this (the floor of a storey) is labelled anew only when it changes itself."""
+_LOOK_EVERY = 4
+"""The labels on a plane that keeps its shape are looked at every so many updates that touch it."""
+
+
 class Structure:
     """The structure nodes of the graph, kept up to date with a `PlaneMap`.
 
@@ -200,6 +206,7 @@ class Structure:
         self._node: dict[int, Node] = {}
         self._between: dict[int, dict[int, list[Relation]]] = {}
         self._unsettled: set[int] = set()
+        self._passed: dict[int, int] = {}
 
     @property
     def labels(self) -> dict[int, str]:
@@ -242,6 +249,7 @@ class Structure:
         neighbours = set(self._between.pop(plane_id, {}))
         for other in neighbours:
             self._between[other].pop(plane_id, None)
+        self._passed.pop(plane_id, None)
         del self._seen[plane_id], self._label[plane_id], self._node[plane_id]
         reason = "its surface is no longer there" if became is None else "found to be one plane"
         changes.delete_node(f"plane_{plane_id}", reason, None if became is None else f"plane_{became}")
@@ -260,27 +268,33 @@ class Structure:
                 z_max=float(high[2]),
                 width_m=float(summary.width_m[k]),
                 area_m2=float(summary.area_m2[k]),
-                evidence=dict(evidence(planes.samples(plane_id, 300))),
             )
             old = self._seen.get(plane_id)
-            if old is not None and not self._differs(old.facts, facts):
+            moved = old is None or self._moved(old.facts, facts)
+            self._passed[plane_id] = self._passed.get(plane_id, 0) + 1
+            if not moved and self._passed[plane_id] < _LOOK_EVERY:
+                continue
+            self._passed[plane_id] = 0
+            facts = replace(facts, evidence=dict(evidence(planes.samples(plane_id, 300))))
+            if old is not None and not moved and not self._reclassified(old.facts, facts):
                 continue
             points = planes.spread(plane_id, 100)
             self._seen[plane_id] = _Seen(facts, summary.normal[k], float(summary.offset[k]), low, high, points)
             noticed.append(plane_id)
         return noticed
 
-    def _differs(self, old: PlaneFacts, new: PlaneFacts) -> bool:
-        if old.facing != new.facing:
-            return True
+    def _moved(self, old: PlaneFacts, new: PlaneFacts) -> bool:
         share = self.noticeable
-        if abs(new.area_m2 - old.area_m2) > share * old.area_m2:
+        if old.facing != new.facing or abs(new.area_m2 - old.area_m2) > share * old.area_m2:
             return True
         length = max(0.05, share * max(old.width_m, old.z_max - old.z_min))
-        if max(abs(new.z_min - old.z_min), abs(new.z_max - old.z_max), abs(new.width_m - old.width_m)) > length:
-            return True
+        return (
+            max(abs(new.z_min - old.z_min), abs(new.z_max - old.z_max), abs(new.width_m - old.width_m)) > length
+        )
+
+    def _reclassified(self, old: PlaneFacts, new: PlaneFacts) -> bool:
         classes = old.evidence.keys() | new.evidence.keys()
-        return any(abs(old.evidence.get(c, 0.0) - new.evidence.get(c, 0.0)) > share for c in classes)
+        return any(abs(old.evidence.get(c, 0.0) - new.evidence.get(c, 0.0)) > self.noticeable for c in classes)
 
     def _relate(self, plane_id: int, planes: PlaneMap) -> None:
         """Measure the relations of a plane to all about it."""
@@ -314,10 +328,7 @@ class Structure:
         context = {o for i in free for o in self._between.get(i, {})} - free
         facts = [self._seen[i].facts for i in sorted(free)]
         for i in sorted(context):
-            known = self._seen[i].facts
-            facts.append(
-                PlaneFacts(known.id, known.facing, known.z_min, known.z_max, known.width_m, known.area_m2, {}, self._label[i])
-            )
+            facts.append(replace(self._seen[i].facts, evidence={}, given=self._label[i]))
         relations = [
             relation
             for i in sorted(free)
@@ -355,10 +366,6 @@ class Structure:
         )
         self._node[plane.id] = node
         changes.put(node)
-
-
-_HUB = 24
-"""A neighbour with more relations than this (the floor of a storey) is labelled anew only when it changes itself."""
 
 
 def plane_box(plane: Plane) -> Box:
