@@ -7,9 +7,11 @@ from hypothesis import strategies as st
 
 from reasoning import KnowledgeBase
 
+PUNCTUATION = r"""()[]{},;.|:!'"`\-+*/=<>@^~$#&%_"""
 PIECES = [
-    *"( ) [ ] { } , ; . | : ! ' \" ` \\ - + * / = < > @ ^ ~ $ # & 0 1 2.5 X Y _ \n % /* */ 0' 0x".split(" "),
-    *[":-", "-->", "\\+", "->", "*->", "is", "=..", "\\=", "@<", "?-", "1.0Inf", "1r3", "1e400", "0'", "\\x0\\", "\0"],
+    *PUNCTUATION,
+    *["0", "1", "2.5", "X", "Y", "\n", "/*", "*/", "0'", "0x", "1e400", "1.0Inf", "1r3", "\\x0\\", "\0"],
+    *[":-", "-->", "\\+", "->", "*->", "is", "=..", "\\=", "@<", "?-"],
     *["on", "in", "near", "cup", "table", "kitchen", "cup_1", "table_1", "oven", "on(X, Y)", "near(X, oven)", "room_1"],
     *["findall", "forall", "aggregate_all", "call", "halt", "assert", "facts", "position", "attribute", "X{a:1}.a"],
     *[
