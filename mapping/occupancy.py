@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapping.errors import InvalidObservation, InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
-from mapping.grid import BLOCK_VOXELS, BlockStore, as_points, ijk_to_centre, join_ijk, new_table
+from mapping.grid import BLOCK_VOXELS, BlockStore, as_points, ijk_to_centre, join_ijk, new_table, point_to_ijk
 from mapping.kernels import boxes, occupancy, visibility
 from mapping.layer import Changed, MapLayer, require
 from mapping.view import DepthView, as_pose
@@ -102,16 +102,21 @@ class OccupancyMap(MapLayer):
         ends = as_points(p_sensor, "p_sensor")
         if not np.isfinite(ends).all():
             raise InvalidObservation("p_sensor: expected finite points, got NaN or infinity")
-        ends = np.ascontiguousarray(pose @ ends)
-        room, beam = 1024, 0
-        scan = _ScanBlocks(np.empty((0, 3), np.int32), room)
+        lengths = np.linalg.norm(ends, axis=1)
+        whole = lengths <= self.max_range_m
+        ends = pose @ ends
+        voxels = point_to_ijk(ends[whole], self.voxel_size_m)
+        cut = (self.max_range_m / lengths[~whole])[:, None]
+        ends[~whole] = pose.translation + cut * (ends[~whole] - pose.translation)
+        scan = _ScanBlocks(np.empty((0, 3), np.int32), 1024)
+        beam = 0
         while beam < len(ends):
             beam, scan.n_blocks = occupancy.mark_beams(
-                pose.translation, ends, beam, self.max_range_m, self.voxel_size_m,
-                scan.table, scan.blocks, scan.n_blocks, scan.marks,
-            )  # fmt: skip
+                pose.translation, ends, beam, self.voxel_size_m, scan.table, scan.blocks, scan.n_blocks, scan.marks
+            )
             if beam < len(ends):
                 scan.grow()
+        scan.mark_hits(voxels)
         return self._fold(scan.blocks[: scan.n_blocks], np.arange(scan.n_blocks), scan.marks)
 
     def integrate_image(
@@ -135,14 +140,9 @@ class OccupancyMap(MapLayer):
         occupancy.mark_free(mixed, self.voxel_size_m, view.reach, view.camera, scan.marks)
         voxels = np.empty((view.reach.size, 3), np.int32)
         n_hits = occupancy.list_hits(view.reach, view.camera, view.pose, self.voxel_size_m, voxels)
-        while True:
-            n = occupancy.mark_hits(voxels[:n_hits], scan.table, scan.blocks, scan.n_blocks, scan.marks)
-            if n >= 0:
-                break
-            scan.grow()
-        scan.n_blocks = n
-        marked = np.empty(n, np.bool_)
-        occupancy.find_marked(scan.marks[:n], marked)
+        scan.mark_hits(voxels[:n_hits])
+        marked = np.empty(scan.n_blocks, np.bool_)
+        occupancy.find_marked(scan.marks[: scan.n_blocks], marked)
         rows = np.flatnonzero(marked)
         return self._fold(
             np.concatenate([scan.blocks[rows], free]), np.concatenate([rows, np.full(len(free), -1)]), scan.marks
@@ -226,6 +226,12 @@ class _ScanBlocks:
         self.blocks[: self.n_blocks] = blocks
         self.marks: NDArray[np.uint8] = np.empty((room, BLOCK_VOXELS), np.uint8)
         self.table = new_table(self.blocks, self.n_blocks, room)
+
+    def mark_hits(self, voxels: NDArray[np.int32]) -> None:
+        """Mark voxels (m, 3) as hit."""
+        while (n := occupancy.mark_hits(voxels, self.table, self.blocks, self.n_blocks, self.marks)) < 0:
+            self.grow()
+        self.n_blocks = n
 
     def grow(self) -> None:
         """Make room for twice as many blocks; those listed stay."""

@@ -15,6 +15,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from mapping.kernels.hashing import BLOCK_LIMIT, find_or_insert, lookup
+from mapping.kernels.projection import project_block
 
 Array: TypeAlias = NDArray[Any]
 Int: TypeAlias = Any
@@ -35,36 +36,18 @@ def mark_free(blocks: Array, voxel_size: Float, reach: Array, camera: Array, mar
     A voxel takes the pixel nearest to its centre. Where pixels are wider apart than voxels, the voxel must lie before
     the surface as a whole.
     """
-    height, width = reach.shape
-    v_ = np.float32(voxel_size)
-    fx, fy, cx, cy = np.float32(camera[12]), np.float32(camera[13]), np.float32(camera[14]), np.float32(camera[15])
-    r0, r1, r2 = np.float32(camera[0]) * v_, np.float32(camera[1]) * v_, np.float32(camera[2]) * v_
-    r3, r4, r5 = np.float32(camera[3]) * v_, np.float32(camera[4]) * v_, np.float32(camera[5]) * v_
-    r6, r7, r8 = np.float32(camera[6]) * v_, np.float32(camera[7]) * v_, np.float32(camera[8]) * v_
-    half = np.float32(0.5)
-    sparse_z = v_ * min(fx, fy)  # beyond this depth pixels are wider apart than voxels
-    right, bottom = np.float32(width) - half, np.float32(height) - half
+    seen = reach.ravel()
+    sparse_z = np.float32(voxel_size * min(camera[12], camera[13]))  # beyond this, pixels are wider apart than voxels
+    margin = np.float32(0.87 * voxel_size)
     for n in prange(blocks.shape[0]):
-        a = (8.0 * blocks[n, 0] + 0.5) * voxel_size
-        b = (8.0 * blocks[n, 1] + 0.5) * voxel_size
-        c = (8.0 * blocks[n, 2] + 0.5) * voxel_size
-        x0 = np.float32(camera[0] * a + camera[1] * b + camera[2] * c + camera[9])
-        y0 = np.float32(camera[3] * a + camera[4] * b + camera[5] * c + camera[10])
-        z0 = np.float32(camera[6] * a + camera[7] * b + camera[8] * c + camera[11])
+        pixels = np.empty(512, np.int32)
+        z = np.empty(512, np.float32)
+        stretch = np.empty(512, np.float32)
+        project_block(blocks[n, 0], blocks[n, 1], blocks[n, 2], voxel_size, camera, pixels, z, stretch)
         for w in range(512):
-            i, j, k = np.float32(w >> 6), np.float32((w >> 3) & 7), np.float32(w & 7)
-            mark = np.uint8(0)
-            z = z0 + i * r6 + j * r7 + k * r8
-            if z > np.float32(1e-4):
-                u = (x0 + i * r0 + j * r1 + k * r2) / z * fx + cx
-                v = (y0 + i * r3 + j * r4 + k * r5) / z * fy + cy
-                if u > -half and v > -half and u < right and v < bottom:
-                    d = abs(reach[np.int64(v + half), np.int64(u + half)])
-                    if z > sparse_z:
-                        d -= np.float32(0.87) * v_
-                    if z < d:
-                        mark = np.uint8(MISS)
-            marks[n, w] = mark
+            d = abs(seen[max(pixels[w], 0)])
+            d = d - margin if z[w] > sparse_z else d
+            marks[n, w] = np.uint8(MISS) if (pixels[w] >= 0) & (z[w] < d) else np.uint8(0)
 
 
 @njit(cache=True)
@@ -76,23 +59,29 @@ def list_hits(reach: Array, camera: Array, pose: Array, voxel_size: Float, voxel
     """
     fx, fy, cx, cy = camera[12], camera[13], camera[14], camera[15]
     per_voxel = 1.0 / voxel_size
+    width = reach.shape[1]
+    row_i, row_j, row_k = np.empty(width, np.int32), np.empty(width, np.int32), np.empty(width, np.int32)
     count = 0
     for v in range(reach.shape[0]):
         y = (v - cy) / fy
-        last_i, last_j, last_k = np.int64(BLOCK_LIMIT * 8), np.int64(0), np.int64(0)
-        for u in range(reach.shape[1]):
-            d = reach[v, u]
-            if d > np.float32(0.0):
-                x = (u - cx) / fx
-                i = np.int64(np.floor((d * (pose[0] * x + pose[1] * y + pose[2]) + pose[9]) * per_voxel))
-                j = np.int64(np.floor((d * (pose[3] * x + pose[4] * y + pose[5]) + pose[10]) * per_voxel))
-                k = np.int64(np.floor((d * (pose[6] * x + pose[7] * y + pose[8]) + pose[11]) * per_voxel))
-                if i != last_i or j != last_j or k != last_k:
-                    voxels[count, 0] = i
-                    voxels[count, 1] = j
-                    voxels[count, 2] = k
-                    count += 1
-                    last_i, last_j, last_k = i, j, k
+        a0, a1 = pose[0] / fx, pose[1] * y + pose[2] - pose[0] * cx / fx
+        b0, b1 = pose[3] / fx, pose[4] * y + pose[5] - pose[3] * cx / fx
+        c0, c1 = pose[6] / fx, pose[7] * y + pose[8] - pose[6] * cx / fx
+        for u in range(width):  # no branches, so that it runs on vectors
+            d = np.float64(reach[v, u])
+            row_i[u] = np.int32(np.floor((d * (a0 * u + a1) + pose[9]) * per_voxel))
+            row_j[u] = np.int32(np.floor((d * (b0 * u + b1) + pose[10]) * per_voxel))
+            row_k[u] = np.int32(np.floor((d * (c0 * u + c1) + pose[11]) * per_voxel))
+        last = -1
+        for u in range(width):
+            if reach[v, u] > np.float32(0.0):
+                if last >= 0 and row_i[u] == row_i[last] and row_j[u] == row_j[last] and row_k[u] == row_k[last]:
+                    continue
+                voxels[count, 0] = row_i[u]
+                voxels[count, 1] = row_j[u]
+                voxels[count, 2] = row_k[u]
+                count += 1
+                last = u
     return count
 
 
@@ -135,92 +124,65 @@ def mark_beams(
     origin: Array,
     ends: Array,
     start: Int,
-    max_range: Float,
     voxel_size: Float,
     table: Array,
     blocks: Array,
     n_blocks: Int,
     marks: Array,
 ) -> tuple[Int, Int]:
-    """Walk each beam from `origin` (3,) to `ends` (m, 3) [m, map]; mark what it passes and hits, in place.
+    """Walk each beam from `origin` (3,) to `ends` (m, 3) [m, map] and mark what it passes, in place.
 
     The walk is that of OctoMap's `computeRayKeys` (Amanatides & Woo 1987): the voxel of the origin is passed, that of
-    the end is hit; a beam longer than `max_range` is cut there and hits nothing. table, blocks, marks: see `mark_hits`.
-    Begins at beam `start`; returns (beam to go on with when room ran out or m, number of blocks).
+    the end is not. table, blocks and marks as in `mark_hits`; begins at beam `start`. Returns (the beam to go on with
+    when room ran out, or m; number of blocks).
     """
     per_voxel = 1.0 / voxel_size
     o0 = np.int64(np.floor(origin[0] * per_voxel))
     o1 = np.int64(np.floor(origin[1] * per_voxel))
     o2 = np.int64(np.floor(origin[2] * per_voxel))
     for n in range(start, ends.shape[0]):
+        steps = abs(np.int64(np.floor(ends[n, 0] * per_voxel)) - o0)
+        steps += abs(np.int64(np.floor(ends[n, 1] * per_voxel)) - o1)
+        steps += abs(np.int64(np.floor(ends[n, 2] * per_voxel)) - o2)
         d0, d1, d2 = ends[n, 0] - origin[0], ends[n, 1] - origin[1], ends[n, 2] - origin[2]
-        length = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
-        if not length > 0.0:
-            length = 0.0
-            d0 = d1 = d2 = 0.0
-        else:
-            d0, d1, d2 = d0 / length, d1 / length, d2 / length
-        whole = length <= max_range
-        length = min(length, max_range)
-        if whole:
-            e0 = np.int64(np.floor(ends[n, 0] * per_voxel))
-            e1 = np.int64(np.floor(ends[n, 1] * per_voxel))
-            e2 = np.int64(np.floor(ends[n, 2] * per_voxel))
-        else:
-            e0 = np.int64(np.floor((origin[0] + d0 * length) * per_voxel))
-            e1 = np.int64(np.floor((origin[1] + d1 * length) * per_voxel))
-            e2 = np.int64(np.floor((origin[2] + d2 * length) * per_voxel))
         s0, s1, s2 = np.int64(np.sign(d0)), np.int64(np.sign(d1)), np.int64(np.sign(d2))
-        # Distance along the beam to the next border across each axis, and between borders.
-        t0 = ((o0 + (0.5 + 0.5 * s0)) * voxel_size - origin[0]) / d0 if s0 != 0 else np.inf
-        t1 = ((o1 + (0.5 + 0.5 * s1)) * voxel_size - origin[1]) / d1 if s1 != 0 else np.inf
-        t2 = ((o2 + (0.5 + 0.5 * s2)) * voxel_size - origin[2]) / d2 if s2 != 0 else np.inf
+        # Share of the beam up to the next border across each axis, and between borders.
+        t0 = ((o0 + (s0 > 0)) * voxel_size - origin[0]) / d0 if s0 != 0 else np.inf
+        t1 = ((o1 + (s1 > 0)) * voxel_size - origin[1]) / d1 if s1 != 0 else np.inf
+        t2 = ((o2 + (s2 > 0)) * voxel_size - origin[2]) / d2 if s2 != 0 else np.inf
         step0 = voxel_size / abs(d0) if s0 != 0 else np.inf
         step1 = voxel_size / abs(d1) if s1 != 0 else np.inf
         step2 = voxel_size / abs(d2) if s2 != 0 else np.inf
         i, j, k = o0, o1, o2
-        last_i, last_j, last_k = np.int64(BLOCK_LIMIT), np.int64(0), np.int64(0)
+        last_i, last_j, last_k = ~o0, ~o1, ~o2  # in no block of this one's
         row: Int = np.int64(0)
-        while True:
-            at_end = i == e0 and j == e1 and k == e2
-            if at_end and not whole:
-                break
-            bi, bj, bk = i >> 3, j >> 3, k >> 3
-            if bi != last_i or bj != last_j or bk != last_k:
+        for _ in range(steps):
+            if ((i ^ last_i) | (j ^ last_j) | (k ^ last_k)) & ~7:
+                last_i, last_j, last_k = i, j, k
                 if n_blocks == blocks.shape[0]:
-                    row = lookup(table, bi, bj, bk)
+                    row = lookup(table, i >> 3, j >> 3, k >> 3)
                     if row < 0:
                         return n, n_blocks
                 else:
-                    row = find_or_insert(table, bi, bj, bk, n_blocks)
+                    row = find_or_insert(table, i >> 3, j >> 3, k >> 3, n_blocks)
                 if row == n_blocks:
-                    blocks[row, 0] = bi
-                    blocks[row, 1] = bj
-                    blocks[row, 2] = bk
+                    blocks[row, 0] = i >> 3
+                    blocks[row, 1] = j >> 3
+                    blocks[row, 2] = k >> 3
                     marks[row, :] = 0
                     n_blocks += 1
-                last_i, last_j, last_k = bi, bj, bk
-            local = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
-            if at_end:
-                marks[row, local] = HIT
-                break
-            marks[row, local] = max(marks[row, local], np.uint8(MISS))
-            if t0 < t1:
-                if t0 < t2:
-                    i += s0
-                    t0 += step0
-                else:
-                    k += s2
-                    t2 += step2
-            elif t1 < t2:
-                j += s1
-                t1 += step1
-            else:
-                k += s2
-                t2 += step2
-            if min(t0, t1, t2) > length and not (i == e0 and j == e1 and k == e2):
-                # Rounding led past the end without meeting its voxel: go there directly.
-                i, j, k = e0, e1, e2
+            marks[row, (i & 7) << 6 | (j & 7) << 3 | (k & 7)] = MISS
+            # The nearest border is crossed; without branches, which the processor could not foresee.
+            x_before_y = t0 < t1
+            x = x_before_y & (t0 < t2)
+            y = (not x_before_y) & (t1 < t2)
+            z = not (x | y)
+            i += s0 if x else 0
+            j += s1 if y else 0
+            k += s2 if z else 0
+            t0 = t0 + step0 if x else t0
+            t1 = t1 + step1 if y else t1
+            t2 = t2 + step2 if z else t2
     return ends.shape[0], n_blocks
 
 
