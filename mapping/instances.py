@@ -7,8 +7,9 @@ whose voxels most of it lies, or a new one. Two instances that are seen through 
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,10 +27,14 @@ SAME_SHARE = 0.2
 """A mask is a known instance of its class when this share of its pixels lies on that instance's voxels …"""
 OTHER_CLASS_SHARE = 0.5
 """… and of another class when this much does: a mislabelled view, but not a cup in front of a bottle."""
-MERGE_SHARE = 0.25
-MERGE_VIEWS = 3
-"""Two instances of a class become one after this many views, net of contrary ones, in which a mask of one covers at
-least MERGE_SHARE of itself with the other."""
+FOUNDING_PIXELS = 100
+"""A mask that is no known instance founds one when it has this many pixels."""
+COVERED_SHARE = 0.6
+COVERED_PIXELS = 15
+"""A mask that holds this share of what is visible of another instance, and this many of the pixels looked at, …"""
+MERGE_VIEWS = 2
+MERGE_VIEWS_OTHER_CLASS = 3
+"""… in so many views, net of views in which both had masks of their own, makes the two one."""
 LEAST_WEIGHT = 0.15
 LEAST_SHARE = 0.5
 """A voxel belongs to an instance that holds this many votes (about: full views) and this share of all its votes."""
@@ -117,13 +122,16 @@ class InstanceMap(MapLayer):
         """The instance (n,) of each piece, 0 for a piece that is too small to found one, and pairs seen through one mask."""
         fields = self.store.fields
         piece, known, hits, looked = kernels.count_overlaps(
-            self.store.table, fields["instance"], fields["weight"], fields["total"], depth_m, seen.pieces, camera, pose,
-            self.voxel_size_m, 2, len(seen),
+            self.store.table, fields["instance"], fields["weight"], depth_m, seen.pieces, camera, pose, self.voxel_size_m, 2,
+            len(seen),
         )
-        piece = piece - 1
-        share = hits / np.maximum(looked[piece], 1)
         real = known != BACKGROUND
-        piece, known, hits, share = piece[real], known[real], hits[real], share[real]
+        piece, known, hits = piece[real], known[real], hits[real]
+        visible: defaultdict[int, int] = defaultdict(int)
+        for k, n in zip(known.tolist(), hits.tolist(), strict=True):
+            visible[k] += n
+        piece, known, hits = piece[piece > 0] - 1, known[piece > 0], hits[piece > 0]
+        share = hits / np.maximum(looked[1:][piece], 1)
         same = np.array([self.instances[k].label == seen.label[p] for p, k in zip(piece, known, strict=True)], dtype=bool)
         fits = share >= np.where(same, SAME_SHARE, OTHER_CLASS_SHARE)
 
@@ -134,17 +142,17 @@ class InstanceMap(MapLayer):
                 ids[piece[at]] = known[at]
                 taken.add(int(known[at]))
         for p in np.flatnonzero(ids == 0):
-            if seen.pixels[p] >= 100:
+            if seen.pixels[p] >= FOUNDING_PIXELS:
                 ids[p] = self._next_id
                 self._next_id += 1
-        together = [
-            (int(ids[p]), int(k))
-            for p, k, s, same_class in zip(piece, known, share, same, strict=True)
-            if s >= MERGE_SHARE and same_class and ids[p] and int(k) != ids[p]
-        ]
         for pair in self._together:
             if taken.issuperset(pair):  # two masks in one image: two things
                 self._together[pair] -= 1
+        together = [
+            (int(ids[p]), int(k))
+            for p, k, n in zip(piece, known, hits.tolist(), strict=True)
+            if ids[p] and k != ids[p] and int(k) not in taken and n >= max(COVERED_PIXELS, COVERED_SHARE * visible[int(k)])
+        ]
         return ids, together
 
     def _witness(self, instance_id: int, label: int, pixels: int, stamp_ns: int) -> None:
@@ -170,10 +178,59 @@ class InstanceMap(MapLayer):
         for one, other in together:
             pair = (min(one, other), max(one, other))
             self._together[pair] += 1
-            if self._together[pair] >= MERGE_VIEWS and pair[0] in self.instances and pair[1] in self.instances:
+            if pair[0] not in self.instances or pair[1] not in self.instances:
+                continue
+            same = self.instances[pair[0]].label == self.instances[pair[1]].label
+            if self._together[pair] >= (MERGE_VIEWS if same else MERGE_VIEWS_OTHER_CLASS):
                 self._absorb(*pair)
                 merged[pair[1]] = pair[0]
         return merged
+
+    def join(self, kept: int, lost: int) -> InstanceChange:
+        """Make two instances one, as told."""
+        self._absorb(kept, lost)
+        return InstanceChange(frozenset({kept}), {lost: kept})
+
+    def forget(self, instance_id: int) -> None:
+        """Give up an instance: its voxels become background until something is seen there again."""
+        gone = self.instances.pop(instance_id)
+        slots = np.fromiter(gone.slots, np.int64, len(gone.slots))
+        fields = self.store.fields
+        kernels.rename(
+            slots, fields["instance"], fields["weight"], fields["second"], fields["second_weight"], instance_id, BACKGROUND
+        )
+        for pair in [p for p in self._together if instance_id in p]:
+            del self._together[pair]
+
+    # -- state --------------------------------------------------------------------------------------------
+    def state(self) -> dict[str, Array]:
+        known = list(self.instances.values())
+        votes = [(i.id, label, weight) for i in known for label, weight in i.labels.items()]
+        return {
+            **super().state(),
+            "table.next_id": np.array(self._next_id),
+            "table.instances": np.array([(i.id, i.first_seen_ns, i.last_seen_ns, i.views) for i in known], np.int64).reshape(-1, 4),
+            "table.votes": np.array(votes, np.float64).reshape(-1, 3),
+            "table.together": np.array([(*pair, n) for pair, n in self._together.items()], np.int64).reshape(-1, 3),
+        }
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Array]) -> Self:
+        layer = super().from_state(state)
+        layer._next_id = int(state["table.next_id"])
+        for id_, first, last, views in state["table.instances"].tolist():
+            layer.instances[id_] = Instance(id_, first, last, views)
+        for id_, label, weight in state["table.votes"].tolist():
+            layer.instances[int(id_)].labels[int(label)] = weight
+        for a, b, n in state["table.together"].tolist():
+            layer._together[a, b] = n
+        for name in ("instance", "second"):
+            slots, local = np.nonzero(layer.store.used(name))
+            pairs = np.unique(np.stack([layer.store.used(name)[slots, local].astype(np.int64), slots], axis=1), axis=0)
+            for id_, slot in pairs.tolist():
+                if id_ in layer.instances:
+                    layer.instances[id_].slots.add(slot)
+        return layer
 
     def _absorb(self, kept: int, lost: int) -> None:
         a, b = self.instances[kept], self.instances.pop(lost)

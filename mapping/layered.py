@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -14,12 +15,18 @@ from mapping.layer import Changed, MapLayer
 from mapping.observations import RgbdImage, Scan
 from mapping.occupancy import OccupancyMap
 from mapping.planes import PlaneChange, PlaneMap
+from mapping.registration import refine_pose
 from mapping.segmentation import segment
 from mapping.semantics import SemanticMap
 from mapping.tsdf import TsdfMap
 from mapping.view import DepthView
 
 Array: TypeAlias = NDArray[Any]
+
+REGISTRATION_STEP = 12
+"""Every so many-th row and column of an image takes part in the correction of its pose …"""
+REGISTRATION_RANGE_M = 4.5
+"""… where it measured less than this."""
 
 
 @dataclass(frozen=True)
@@ -56,14 +63,37 @@ class LayeredMap:
     def layers(self) -> dict[str, MapLayer]:
         return {layer.kind: layer for layer in (self.occupancy, self.tsdf, self.semantics, self.instances)}
 
+    def state(self) -> dict[str, dict[str, Array]]:
+        """The arrays of all layers, by layer."""
+        return {**{name: layer.state() for name, layer in self.layers.items()}, "planes": self.planes.state()}
+
+    def restore(self, state: Mapping[str, Mapping[str, Array]]) -> None:
+        """Take over what `state` gave."""
+        self.occupancy = OccupancyMap.from_state(state["occupancy"])
+        self.tsdf = TsdfMap.from_state(state["tsdf"])
+        self.semantics = SemanticMap.from_state(state["semantics"])
+        self.instances = InstanceMap.from_state(state["instances"])
+        self.planes.restore(state["planes"])
+
     def integrate_image(self, image: RgbdImage, T_map_camera: SE3, things: Array) -> MapChange:
         """Fuse an image; `things` (65536,) bool marks the class ids that have instances."""
+        T_map_camera = self._corrected(image, T_map_camera)
         view = DepthView(image.depth_m, image.intrinsics, T_map_camera, self.max_range_m)
         occupancy = self.occupancy.integrate_view(view)
         registered = image.color if image.T_depth_color is None and image.color_intrinsics is None else None
         tsdf = self.tsdf.integrate_view(view, color=registered)
         planes = self.planes.update(self.tsdf, tsdf)
         return MapChange(occupancy, tsdf, planes, self._vote(image, T_map_camera, things))
+
+    def _corrected(self, image: RgbdImage, T_map_camera: SE3) -> SE3:
+        """The pose as the map corrects it, where it is uncertain."""
+        if image.covariance is None:
+            return T_map_camera
+        rows, columns = (slice(REGISTRATION_STEP // 2, None, REGISTRATION_STEP),) * 2
+        depth = image.depth_m[rows, columns]
+        near = (depth > 0.0) & (depth < REGISTRATION_RANGE_M)
+        rays = image.intrinsics.rays()[rows, columns]
+        return refine_pose(self.tsdf, (rays * depth[..., None])[near], T_map_camera, image.covariance)
 
     def label_image(self, image: RgbdImage, T_map_camera: SE3, things: Array) -> MapChange:
         """Add the labels of an image whose depth was fused before."""

@@ -68,6 +68,23 @@ class Labels:
         """The class name of an id."""
         return self._classes[class_id - 1].name
 
+    def document(self) -> dict[str, Any]:
+        """All classes and tables as JSON values."""
+        tables = [[*key, [[int(i), int(t[i])] for i in np.flatnonzero(t)]] for key, t in self._tables.items()]
+        return {"classes": [info.model_dump(mode="json") for info in self._classes], "tables": tables}
+
+    def restore(self, document: dict[str, Any]) -> None:
+        """Take over what `document` gave."""
+        for info in document["classes"]:
+            self._classes.append(ClassInfo(**info))
+            self._ids[info["name"]] = len(self._classes)
+            self._things[len(self._classes)] = info["kind"] == "thing"
+        for robot, sensor, pairs in document["tables"]:
+            table = np.zeros(N_IDS, np.uint16)
+            for sensor_id, class_id in pairs:
+                table[sensor_id] = class_id
+            self._tables[robot, sensor] = table
+
     @property
     def classes(self) -> list[ClassInfo]:
         """All classes; index i has id i + 1."""

@@ -20,12 +20,16 @@ DERIVED = frozenset({"on", "supports", "in", "contains", "above", "under", "near
 """Relations whose stored edges follow the rules; other stored edges are facts of their own."""
 
 
+def follows_rules(edge: Edge) -> bool:
+    """Whether an edge is there because the rules derive it; a room's place in its building is a fact of its own."""
+    return edge.relation in DERIVED and "building_1" not in (edge.source, edge.target)
+
+
 class Meaning:
     """Keeps the knowledge base in step with the graph, and the graph with what the rules derive."""
 
     def __init__(self, knowledge: KnowledgeBase, config: WorldConfig) -> None:
         self.knowledge = knowledge
-        self._told: dict[tuple[str, str], dict[str, Compound]] = {}
         self._facts_of: dict[str, frozenset[Compound]] = {}
         self.label_planes = rules_labeller(knowledge)
         self._containers: dict[str, bool] = {}
@@ -85,11 +89,8 @@ class Meaning:
         changes: GraphChanges, looked_at: list[str], derived: list[Any], nodes: dict[str, Node], gone: set[str],
         graph: SceneGraph, source: str, stamp_ns: int,
     ) -> None:
-        stale = {
-            edge.key for node_id in looked_at if node_id in graph for edge in graph.edges_of(node_id) if edge.relation in DERIVED
-        }
-        room_edges = {key for key in stale if key[2] == "building_1" or key[1] == "building_1"}
-        stale -= room_edges
+        known_at = (node_id for node_id in looked_at if node_id in graph)
+        stale = {edge.key for node_id in known_at for edge in graph.edges_of(node_id) if follows_rules(edge)}
         for edge in derived:
             key = (edge.relation, edge.source, edge.target)
             stale.discard(key)  # type: ignore[arg-type]
@@ -141,15 +142,26 @@ class Meaning:
         ]  # fmt: skip
 
     # -- statements ---------------------------------------------------------------------------------------
-    def accept(self, told: Statement, graph: SceneGraph) -> GraphChanges:
-        """Carry out a statement: facts go to the rules, the rest changes the graph. Raises `InvalidStatement`."""
-        changes = told.changes(graph)
-        for node in (step for step in changes.steps if isinstance(step, Node)):
-            fresh = frozenset(facts.node_facts(node))
-            self.knowledge.update(put=fresh - self._facts_of.get(node.id, frozenset()))
-            self._facts_of[node.id] = fresh
-        told.inform(self.knowledge)
-        return changes
+    def accept(self, told: Statement) -> None:
+        """Tell the rules a fact, or that it holds no longer; other statements reach them through the graph."""
+        if told.kind == "fact":
+            self.knowledge.update(put=[Compound("told", told.args)])
+        elif told.kind == "retract":
+            self.knowledge.update(deleted=[Compound("told", told.args)])
+
+    def remember(
+        self, graph: SceneGraph, classes: Sequence[ClassInfo], measured: MeasurementChange, statements: Sequence[Statement]
+    ) -> None:
+        """Tell the rules everything about a world that comes back from disk."""
+        self.learn_classes(classes)
+        put = facts.measurement_facts(measured)[0]
+        for node in graph.nodes():
+            self._facts_of[node.id] = frozenset(facts.node_facts(node))
+            put += self._facts_of[node.id]
+        put += [facts.edge_fact(edge) for edge in graph.edges() if not follows_rules(edge)]
+        self.knowledge.update(put=put)
+        for told in statements:
+            self.accept(told)
 
 
 def _reason(term: Term) -> str:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from reasoning.errors import ReasoningError
-from reasoning.knowledge import Problem
+from reasoning.knowledge import KnowledgeBase, Problem
 from reasoning.terms import Atom, Compound, Term, Var, term_text
 from scenegraph.errors import InvalidStatement, SceneGraphError
 
@@ -39,14 +38,12 @@ class Statement:
         return {"text": self.text, "author": self.author, "reason": self.reason, "stamp_ns": self.stamp_ns}
 
 
-def read(
-    text: str, author: str, reason: str, stamp_ns: int, parse: Callable[[str], Term]
-) -> Statement:
-    """The statement that `text` spells; `parse` reads a term. Raises `InvalidStatement`."""
+def read(text: str, author: str, reason: str, stamp_ns: int, knowledge: KnowledgeBase) -> Statement:
+    """The statement that `text` spells. Raises `InvalidStatement`."""
     if not author:
         raise InvalidStatement("author: a statement needs the name of who makes it")
     try:
-        term = parse(text)
+        term = parse(text, knowledge)
     except ReasoningError as error:
         raise InvalidStatement(f"statement: {error}", hint=f"one of {', '.join(FORMS.values())}") from None
     if not isinstance(term, Compound) or (term.name, len(term.args)) not in FORMS:
@@ -74,6 +71,12 @@ def _plain(kind: str, term: Term) -> Any:
     if isinstance(term, (int, float, str)):
         return term
     raise InvalidStatement(f"{kind}: expected names, numbers and texts, got {term_text(term)}")
+
+
+def parse(text: str, knowledge: KnowledgeBase) -> Term:
+    """The term that `text` spells. Raises `ReasoningError` on a syntax error."""
+    [answer] = knowledge.call(Compound("term_string", (Var("Term"), text)), limit=1)
+    return answer["Term"]
 
 
 def problem(error: SceneGraphError) -> Problem:

@@ -1,11 +1,63 @@
 """A world on disk: what is kept, and how it comes back."""
+
 from __future__ import annotations
+
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from mapping.observations import RobotDescription
+from scenegraph.config import WorldConfig
+from scenegraph.errors import StoreCorrupt
+from scenegraph.graph import SceneGraph
+from scenegraph.statements import Statement
+from scenegraph.store import WorldParts, load_world, save_world
+
 if TYPE_CHECKING:
     from scenegraph.world import World
-W = TypeVar("W")
+
+W = TypeVar("W", bound="World")
+
+
 def save(world: World, path: Path) -> None:
-    raise RuntimeError
+    """Write a world to one file, whole or not at all."""
+    save_world(
+        path,
+        WorldParts(
+            config=world.config.model_dump(mode="json"),
+            layers={**world.map.state(), "rooms": world.perception.rooms.state()},
+            graph=world.graph.snapshot(),
+            documents={
+                "history": world.graph.history.document(),
+                "labels": world.labels.document(),
+                "robots": [_robot(robot) for robot in world.robots.values()],
+                "statements": [statement.as_json() for statement in world.statements],
+                "perception": world.perception.document(),
+            },
+        ),
+    )
+
+
 def load(kind: type[W], path: Path) -> W:
-    raise RuntimeError
+    """Read a world; its reasoner is told all facts anew."""
+    parts = load_world(path)
+    world = kind(WorldConfig(**parts.config))
+    try:
+        documents = parts.documents
+        world.map.restore(parts.layers)
+        world.graph = SceneGraph.from_snapshot(parts.graph, history=documents["history"])
+        world.labels.restore(documents["labels"])
+        world.robots = {r["robot"]: RobotDescription(**r) for r in documents["robots"]}
+        world.perception.restore(documents["perception"], parts.layers["rooms"], world.graph)
+        world.statements = [Statement(**s) for s in documents["statements"]]
+        world.meaning.remember(world.graph, world.labels.classes, world.perception.relations.facts, world.statements)
+    except (KeyError, TypeError, ValueError) as error:
+        world.close()
+        raise StoreCorrupt(f"{path}: a part of the world does not fit the others: {error!r}") from error
+    except BaseException:
+        world.close()
+        raise
+    return world
+
+
+def _robot(robot: RobotDescription) -> dict[str, Any]:
+    return {**robot.model_dump(exclude={"footprint"}), "footprint": robot.footprint.tolist()}

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
@@ -26,7 +25,7 @@ from scenegraph import statements, storing
 from scenegraph.answers import Answers, Place, TellResult
 from scenegraph.config import WorldConfig
 from scenegraph.detections import DetectionDesk
-from scenegraph.errors import InvalidStatement
+from scenegraph.errors import SceneGraphError
 from scenegraph.graph import Delta, GraphChanges, SceneGraph
 from scenegraph.labels import Labels
 from scenegraph.meaning import Meaning
@@ -56,8 +55,8 @@ class World:
         self.robots: dict[str, RobotDescription] = {}
         self.statements: list[statements.Statement] = []
         self._knowledge = KnowledgeBase(self.config.rule_files)
-        self._meaning = Meaning(self._knowledge, self.config)
-        self._perception = Perception(self.map, self.labels, self._meaning)
+        self.meaning = Meaning(self._knowledge, self.config)
+        self.perception = Perception(self.map, self.labels, self.meaning)
         self._desk = DetectionDesk()
 
     # -- observations in ----------------------------------------------------------------------------------
@@ -76,19 +75,19 @@ class World:
                 return self._integrate_detections(observation)
             case AgentPose():
                 self.frames.add(observation)
-                return self._commit(self._perception.place_agent(observation, self.graph), observation.stamp_ns)
+                return self._commit(self.perception.place_agent(observation, self.graph), observation.stamp_ns)
             case Transform():
                 self.frames.add(observation)
                 return self._commit(GraphChanges(), observation.stamp_ns)
             case LabelSpace():
-                self._meaning.learn_classes(self.labels.learn(observation))
+                self.meaning.learn_classes(self.labels.learn(observation))
                 return self._commit(GraphChanges(), self.graph.stamp_ns)
             case RobotDescription():
                 self.robots[observation.robot] = observation
                 return self._commit(GraphChanges(), self.graph.stamp_ns)
             case _:
                 raise TypeError(f"World.integrate: expected an observation, got {type(observation).__name__}")
-        changes = self._perception.perceive(change, self.graph, observation.stamp_ns, _source(observation))
+        changes = self.perception.perceive(change, self.graph, observation.stamp_ns, _source(observation))
         return self._commit(changes, observation.stamp_ns)
 
     def _integrate_image(self, image: RgbdImage) -> MapChange:
@@ -116,7 +115,7 @@ class World:
             return self._commit(GraphChanges(), detections.stamp_ns)
         image, T_map_camera = found
         change = self.map.label_image(image, T_map_camera, self.labels.things)
-        changes = self._perception.perceive(change, self.graph, detections.stamp_ns, _source(detections))
+        changes = self.perception.perceive(change, self.graph, detections.stamp_ns, _source(detections))
         return self._commit(changes, detections.stamp_ns)
 
     def _commit(self, changes: GraphChanges, stamp_ns: int) -> Delta:
@@ -130,7 +129,7 @@ class World:
 
         robot : whose viewpoint left and right mean;  at_ns : ask the graph as it was then (its edges, not new inferences)
         """
-        return self._meaning.ask(goal, self.graph, robot=robot, limit=limit, timeout_s=timeout_s, at_ns=at_ns)
+        return self.meaning.ask(goal, self.graph, robot=robot, limit=limit, timeout_s=timeout_s, at_ns=at_ns)
 
     def where(self, phrase: str, *, robot: str | None = None) -> Place:
         """Where a phrase (`near the oven`) or a goal with one variable (`cup(X)`) is: nodes, region, reachable poses."""
@@ -140,9 +139,10 @@ class World:
     def tell(self, statement: str, *, author: str, reason: str = "") -> TellResult:
         """State something: `fact(T)`, `retract(T)`, `rename(Id, Name)`, `set(Id, Attribute, Value)`, `delete(Id)`."""
         try:
-            told = statements.parse(statement, author=author, reason=reason, stamp_ns=self.graph.stamp_ns)
-            changes = self._meaning.accept(told, self.graph)
-        except InvalidStatement as error:
+            told = statements.read(statement, author, reason, self.graph.stamp_ns, self._knowledge)
+            changes = self.perception.obey(told, self.graph)
+            self.meaning.accept(told)
+        except SceneGraphError as error:
             return TellResult(False, self.graph.revision, statements.problem(error))
         self.statements.append(told)
         return TellResult(True, self._commit(changes, told.stamp_ns).revision)

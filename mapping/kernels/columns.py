@@ -74,3 +74,28 @@ def thin_out(points: Array, cell: float) -> Array:
             kept[n] = order[a]
             n += 1
     return np.sort(kept[:n])
+
+
+@njit(cache=True)
+def closed_sides(points: Array, material: Array, beside: float) -> Array:
+    """(N,) int64: in how many of the directions ±x, ±y, −z each point (N, 3) meets material (M, 3).
+
+    Material is met that lies in the direction and within `beside` of its axis along both other axes.
+    """
+    closed = np.zeros(len(points), dtype=np.int64)
+    met = np.zeros(5, dtype=np.bool_)
+    for n in range(len(points)):
+        met[:] = False
+        for m in range(len(material)):
+            dx = material[m, 0] - points[n, 0]
+            dy = material[m, 1] - points[n, 1]
+            dz = material[m, 2] - points[n, 2]
+            near_x, near_y, near_z = abs(dx) <= beside, abs(dy) <= beside, abs(dz) <= beside
+            if near_y and near_z:
+                met[0 if dx > 0.0 else 1] = True
+            if near_x and near_z:
+                met[2 if dy > 0.0 else 3] = True
+            if near_x and near_y and dz < 0.0:
+                met[4] = True
+        closed[n] = met.sum()
+    return closed

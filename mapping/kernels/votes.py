@@ -85,7 +85,9 @@ def vote_points(
     for n in range(len(p_map)):
         if choices[n] == 0 or not weights[n] > 0.0:
             continue
-        i, j, k = (int(np.floor(p_map[n, a] / voxel)) for a in range(3))
+        i = int(np.floor(p_map[n, 0] / voxel))
+        j = int(np.floor(p_map[n, 1] / voxel))
+        k = int(np.floor(p_map[n, 2] / voxel))
         s = lookup(table, i >> 3, j >> 3, k >> 3)
         if s < 0:
             continue
@@ -175,33 +177,50 @@ def place_image(
 
 @njit(cache=True)
 def count_overlaps(
-    table: Array, first: Array, first_weight: Array, total: Array, depth: Array, pieces: Array, camera: Array, pose: Array,
+    table: Array, first: Array, first_weight: Array, depth: Array, pieces: Array, camera: Array, pose: Array,
     voxel: float, step: int, n_pieces: int,
 ) -> tuple[Array, Array, Array, Array]:
     """How many pixels of each piece lie on voxels of which known instance.
 
-    pieces (H, W) int32: 1 … n_pieces, 0 = none. Looked up at the point and one voxel before and behind it on the ray.
-    Returns piece (K,), instance (K,), hits (K,) of the pairs that occur, and the pixels looked at per piece (n_pieces,).
+    pieces (H, W) int32: 1 … n_pieces, 0 = none. Looked up at the point, then beside it: before and behind on the ray,
+    above and below. Returns piece (K,) with 0 for none, instance (K,), hits (K,) of the pairs that occur, and the pixels
+    looked at per piece (n_pieces + 1,).
     """
     height, width = depth.shape
     rows = 8192
     key = np.full(rows, -1, dtype=np.int64)
     hits = np.zeros(rows, dtype=np.int64)
-    looked = np.zeros(n_pieces, dtype=np.int64)
+    looked = np.zeros(n_pieces + 1, dtype=np.int64)
     n = 0
     for v in range(0, height, step):
         for u in range(0, width, step):
-            piece = pieces[v, u]
-            if piece == 0:
-                continue
-            looked[piece - 1] += 1
             z = depth[v, u]
+            if not z > 0.0:
+                continue
+            piece = pieces[v, u]
+            looked[piece] += 1
             x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
-            for attempt in range(3):
-                t = 1.0 if attempt == 0 else 1.0 + (voxel if attempt == 1 else -voxel) / z
-                i = int(np.floor((t * (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z) + pose[0, 3]) / voxel))
-                j = int(np.floor((t * (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z) + pose[1, 3]) / voxel))
-                k = int(np.floor((t * (pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z) + pose[2, 3]) / voxel))
+            dx = pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z
+            dy = pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z
+            dz = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z
+            for attempt in range(7 if piece else 1):
+                t = 1.0
+                up = 0.0
+                if attempt == 1:
+                    t = 1.0 + voxel / z
+                elif attempt == 2:
+                    t = 1.0 - voxel / z
+                elif attempt == 3:
+                    up = -voxel
+                elif attempt == 4:
+                    up = voxel
+                elif attempt == 5:
+                    t = 1.0 + 2.0 * voxel / z
+                elif attempt == 6:
+                    t = 1.0 - 2.0 * voxel / z
+                i = int(np.floor((t * dx + pose[0, 3]) / voxel))
+                j = int(np.floor((t * dy + pose[1, 3]) / voxel))
+                k = int(np.floor((t * dz + pose[2, 3] + up) / voxel))
                 s = lookup(table, i >> 3, j >> 3, k >> 3)
                 if s < 0:
                     continue

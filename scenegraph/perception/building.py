@@ -13,6 +13,7 @@ from mapping.kernels import regions as kernels
 from mapping.occupancy import FREE, OCCUPIED, OccupancyMap
 from mapping.planes import Plane, PlaneMap
 from scenegraph.perception.neighbours import GroundIndex
+from scenegraph.perception.relations import Passage
 
 Array: TypeAlias = NDArray[Any]
 
@@ -30,11 +31,14 @@ class Building:
         self._occupancy = occupancy
         self._index = GroundIndex()
         self._floors: dict[str, tuple[Array, Array, float]] = {}
+        self._walls = GroundIndex()
+        self._lines: dict[str, tuple[Array, float, Array, float, float]] = {}
 
     def update(self, labelled: Iterable[tuple[str, Plane]], gone: Iterable[int]) -> None:
         """Planes that were labelled or changed, and ids of planes that are no more."""
         for plane_id in gone:
             self._index.remove(str(plane_id))
+            self._walls.remove(str(plane_id))
             self._floors.pop(f"plane_{plane_id}", None)
         for label, plane in labelled:
             corners = np.concatenate(plane.rings)
@@ -43,6 +47,13 @@ class Building:
                 self._index.put(str(plane.id), (low, high))
             else:
                 self._index.remove(str(plane.id))
+            self._walls.remove(str(plane.id))
+            if label == "wall":
+                normal = plane.normal[:2] / np.linalg.norm(plane.normal[:2])
+                along = np.array([-normal[1], normal[0]])
+                reach = corners[:, :2] @ along
+                self._lines[str(plane.id)] = (normal, float(plane.centroid[:2] @ normal), along, reach.min(), reach.max())
+                self._walls.put(str(plane.id), (low, high))
             self._floors.pop(f"plane_{plane.id}", None)
             if label == "floor":
                 self._floors[f"plane_{plane.id}"] = (low, high, float(plane.centroid[2]))
@@ -59,16 +70,35 @@ class Building:
                 best = (badness, node, height)
         return None if best is None else best[1:]
 
-    def separated(self, p: Array, q: Array) -> bool:
-        """Whether a wall, floor or ceiling stands between two points (3,)."""
+    def between(self, p: Array, q: Array) -> Passage:
+        """What stands between two points (3,): nothing, a wall, floor or ceiling, or a part of a wall that was not seen.
+
+        Furniture hides the walls behind it: a wall is taken to go on, unseen, wherever it was not seen to be open.
+        """
         p, q = np.asarray(p, dtype=np.float64), np.asarray(q, dtype=np.float64)
         length = float(np.linalg.norm(q - p))
         if length < 1e-6:
-            return False
+            return "clear"
         inset = min(INSET_M, 0.3 * length) / length
         a, b = p + inset * (q - p), q - inset * (q - p)
-        ids = self._near(np.minimum(a, b), np.maximum(a, b))
-        return bool(ids) and bool(self._planes.blocks_segment(a[None], b[None], ids)[0])
+        low, high = np.minimum(a, b), np.maximum(a, b)
+        ids = self._near(low, high)
+        if ids and self._planes.blocks_segment(a[None], b[None], ids)[0]:
+            return "blocked"
+        for node in self._walls.within((low, high), 0.1):
+            normal, offset, along, start, end = self._lines[node]
+            da, db = float(a[:2] @ normal - offset), float(b[:2] @ normal - offset)
+            if da * db >= 0.0:
+                continue
+            at = a + da / (da - db) * (b - a)
+            if start <= at[:2] @ along <= end and not self._open(at, normal):
+                return "unseen"
+        return "clear"
+
+    def _open(self, at: Array, normal: Array) -> bool:
+        """Whether a wall was seen to be open at a point (3,)."""
+        step = np.array([*normal, 0.0]) * self._occupancy.voxel_size_m
+        return bool((self._occupancy.classify(np.stack([at - step, at, at + step])) == FREE).all())
 
     def way_around(self, p: Array, q: Array, limit_m: float) -> tuple[float, float]:
         """Shortest way from p to q around walls, through observed space only and with unknown passable [m]; inf if longer.

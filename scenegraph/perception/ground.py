@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -11,9 +12,9 @@ Array: TypeAlias = NDArray[Any]
 
 
 class GroundGrid:
-    """Cells (i, j) of the plane z = 0 of map, each `cell_m` wide, cell (0, 0) at the origin; two values a cell.
+    """Cells (i, j) of the plane z = 0 of map, each `cell_m` wide, cell (0, 0) at the origin; three values a cell.
 
-    free : bool, room : int32 (0 = none). Cells outside what was covered so far read as False and 0.
+    free : bool, room : int32 (0 = none), drawn : bool (an operator drew the room). Cells outside what was covered so far read as False and 0.
     """
 
     def __init__(self, cell_m: float) -> None:
@@ -21,6 +22,7 @@ class GroundGrid:
         self._low = np.zeros(2, np.int64)
         self.free: NDArray[np.bool_] = np.zeros((0, 0), bool)
         self.room: NDArray[np.int32] = np.zeros((0, 0), np.int32)
+        self.drawn: NDArray[np.bool_] = np.zeros((0, 0), bool)
 
     def cover(self, low: Array, high: Array) -> tuple[slice, slice]:
         """Make room for the cells low … high (2,), both included; returns where they lie in the arrays."""
@@ -32,7 +34,7 @@ class GroundGrid:
             new_low = np.where(low < self._low, np.asarray(low) - room_to_grow, self._low)
             new_high = np.where(high + 1 > old_high, np.asarray(high) + 1 + room_to_grow, old_high)
             where = tuple(slice(a, a + n) for a, n in zip(self._low - new_low, self.free.shape, strict=True))
-            for name in ("free", "room"):
+            for name in ("free", "room", "drawn"):
                 old = getattr(self, name)
                 grown = np.zeros(tuple((new_high - new_low).tolist()), old.dtype)
                 grown[where] = old
@@ -41,6 +43,20 @@ class GroundGrid:
         i, j = (np.asarray(low) - self._low).tolist()
         m, n = (np.asarray(high) - self._low + 1).tolist()
         return slice(i, m), slice(j, n)
+
+    @property
+    def low(self) -> NDArray[np.int64]:
+        """The cell (2,) that the first entry of the arrays stands for."""
+        return self._low
+
+    def state(self) -> dict[str, Array]:
+        """The arrays that make this grid."""
+        return {"low": self._low.copy(), "free": self.free.copy(), "room": self.room.copy(), "drawn": self.drawn.copy()}
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Take over what `state` gave."""
+        self._low = np.array(state["low"])
+        self.free, self.room, self.drawn = (np.array(state[name]) for name in ("free", "room", "drawn"))
 
     def at(self, xy: Array) -> Array:
         """The room number (N,) at points (N, 2) [m]; 0 where there is none."""

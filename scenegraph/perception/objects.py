@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.instances import InstanceChange, InstanceMap
+from scenegraph.errors import InvalidStatement
 from scenegraph.graph import GraphChanges, Node, SceneGraph
 from scenegraph.perception.shapes import Shape
 
 Array: TypeAlias = NDArray[Any]
 
-LEAST_VIEWS = 2
-LEAST_VOXELS = 6
+LEAST_VIEWS = 3
+LEAST_VOXELS = 12
 """An instance becomes a node when it was seen in this many images and holds this many voxels."""
 MOVED_M = 0.01
 RESIZED_M = 0.02
@@ -97,6 +98,41 @@ class Objects:
                 attributes={"voxels": len(shape.points), "views": instance.views},
             )
         )
+
+    # -- what an operator states --------------------------------------------------------------------------
+    def forget(self, node_id: str, instances: InstanceMap) -> set[str]:
+        """Give up the thing behind a node, so that it does not come back by itself; returns the ids whose shape is gone."""
+        for instance_id, name in list(self._node_of.items()):
+            if name == node_id:
+                instances.forget(instance_id)
+                del self._node_of[instance_id], self.shapes[node_id], self.labels[node_id]
+                return {node_id}
+        return set()
+
+    def join(self, kept: str, lost: str, instances: InstanceMap) -> InstanceChange:
+        """Make the things behind two nodes one. Raises `InvalidStatement` when one is not a thing, or both are one."""
+        by_name = {name: instance_id for instance_id, name in self._node_of.items()}
+        for node in (kept, lost):
+            if node not in by_name:
+                raise InvalidStatement(f"merge: {node} is not a thing that was mapped", hint="only objects and openings can be merged")
+        if kept == lost:
+            raise InvalidStatement(f"merge: {kept} is given twice")
+        return instances.join(by_name[kept], by_name[lost])
+
+    # -- state --------------------------------------------------------------------------------------------
+    def document(self) -> list[list[Any]]:
+        """[instance id, node id] of all nodes."""
+        return [[instance_id, name] for instance_id, name in self._node_of.items()]
+
+    def restore(self, document: list[list[Any]], instances: InstanceMap, graph: SceneGraph) -> None:
+        """Take over what `document` gave; shapes are measured anew."""
+        for instance_id, name in document:
+            self._node_of[instance_id] = name
+            points, weights = instances.points(instance_id)
+            shape = Shape.trimmed(points, weights, instances.voxel_size_m)
+            if shape is not None:
+                self.shapes[name] = shape
+            self.labels[name] = graph.node(name).label
 
     @staticmethod
     def _name(instance_id: int, structural: bool, graph: SceneGraph) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from mapping.layered import LayeredMap, MapChange
 from mapping.observations import AgentPose
 from mapping.planes import Plane
+from scenegraph.errors import InvalidStatement
 from scenegraph.facts import class_atom
 from scenegraph.graph import Box, GraphChanges, Node, SceneGraph
 from scenegraph.labels import Labels
@@ -18,6 +20,7 @@ from scenegraph.perception.objects import Objects
 from scenegraph.perception.relations import MeasurementChange, Relations
 from scenegraph.perception.rooms import Rooms
 from scenegraph.perception.structure import Structure
+from scenegraph.statements import FORMS, Statement
 
 if TYPE_CHECKING:
     from scenegraph.meaning import Meaning
@@ -84,6 +87,54 @@ class Perception:
         self._meaning.infer(changes, measured, {agent}, graph, source, observation.stamp_ns)
         return changes
 
+    # -- what an operator states --------------------------------------------------------------------------
+    def obey(self, told: Statement, graph: SceneGraph) -> GraphChanges:
+        """The changes of the graph that a statement asks for. Raises `InvalidStatement` and `UnknownNode`."""
+        changes = GraphChanges()
+        measured, touched = MeasurementChange(), set[str]()
+        match told.kind, told.args:
+            case "rename", (str(node), name):
+                changes.put(_with(graph.node(node), name=str(name)))
+            case "set", (str(node), str(key), value):
+                reason = {"type_reason": f"told by {told.author}"} if key == "type" else {}
+                changes.put(_with(graph.node(node), **{key: value}, **reason))
+            case "delete", (str(node),):
+                graph.node(node)
+                reason_given = told.reason or f"deleted by {told.author}"
+                touched = self.objects.forget(node, self._map.instances)
+                changes.delete_node(node, reason_given)
+                measured = self.relations.update(self.objects.shapes, self.objects.labels, touched, self.building)
+            case "merge", (str(kept), str(lost)):
+                graph.node(kept), graph.node(lost)
+                merged = self.objects.join(kept, lost, self._map.instances)
+                object_changes, touched = self.objects.update(self._map.instances, merged, graph)
+                changes.extend(object_changes)
+                measured = self.relations.update(self.objects.shapes, self.objects.labels, touched, self.building)
+            case "room", (name, list(polygon)):
+                room_changes, rooms = self.rooms.draw(str(name), polygon, graph, told.stamp_ns)
+                changes.extend(room_changes)
+                measured, touched = self._room_shares(set(), rooms), rooms
+            case "fact" | "retract", _:
+                return changes
+            case _:
+                raise InvalidStatement(f"statement: {told.text!r} does not fit", hint=FORMS[told.kind, len(told.args)])
+        self._meaning.infer(changes, measured, touched, graph, f"told by {told.author}", told.stamp_ns)
+        return changes
+
+    # -- state --------------------------------------------------------------------------------------------
+    def document(self) -> dict[str, Any]:
+        """What is known besides the graph and the map, as JSON values."""
+        return {"objects": self.objects.document(), "relations": self.relations.document(), "structure": self.structure.document()}
+
+    def restore(self, document: Mapping[str, Any], rooms: Mapping[str, Array], graph: SceneGraph) -> None:
+        """Take over what `document` and `Rooms.state` gave; the map and the graph have been restored before."""
+        self.objects.restore(document["objects"], self._map.instances, graph)
+        self.rooms.restore(rooms, graph)
+        self.relations.restore(document["relations"], self.objects.shapes)
+        self.structure.restore(document["structure"], self._map.planes, graph)
+        labelled = [(label, self._map.planes.plane(i)) for i, label in self.structure.labels.items()]
+        self.building.update(labelled, ())
+
     @staticmethod
     def _found(graph: SceneGraph, stamp_ns: int) -> GraphChanges:
         """Changes that begin with the building, which is there from the first observation."""
@@ -116,3 +167,7 @@ class Perception:
             shares = {} if shape is None else self.rooms.shares(shape.ground_samples, shape.lowest)
             change.merge(self.relations.set_shares(thing, shares))
         return change
+
+
+def _with(node: Node, **attributes: Any) -> Node:
+    return node.replace(attributes={**node.attributes, **attributes})

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.kernels import columns
 from mapping.kernels import shapes as kernels
 from scenegraph.perception.neighbours import GroundIndex
 from scenegraph.perception.shapes import Shape
@@ -32,6 +33,12 @@ SETTLE_M = 0.25
 HIDDEN_SHARE = 0.7
 """The space under a thing hides its bottom when this share of it was not seen to be free."""
 NO_PATH_M = 1.0e9
+MOST_INSIDE = 300
+MOST_MATERIAL = 8000
+"""Points of a thing, and of what it may be in, that are looked at to see whether it is inside."""
+
+
+Passage: TypeAlias = Literal["clear", "blocked", "unseen"]
 
 
 class Surroundings(Protocol):
@@ -40,8 +47,8 @@ class Surroundings(Protocol):
     def floor_below(self, x: float, y: float, z: float) -> tuple[str, float] | None:
         """The floor under a point: its node id and height [m]."""
 
-    def separated(self, p: Array, q: Array) -> bool:
-        """Whether structure (walls, floors, ceilings, closed doors) stands between two points (3,)."""
+    def between(self, p: Array, q: Array) -> Passage:
+        """What stands between two points (3,): nothing, structure (walls, floors, ceilings), or a wall's unseen part."""
 
     def way_around(self, p: Array, q: Array, limit_m: float) -> tuple[float, float]:
         """Shortest way from p to q around structure, through observed space only and with unknown passable [m]."""
@@ -121,6 +128,21 @@ class Relations:
         inside = {key[1] for room in rooms for key in self._keys_of.get(room, ()) if key[0] == "footprint_share"}
         return inside
 
+    @property
+    def facts(self) -> MeasurementChange:
+        """All measurements, as a change that puts them."""
+        return MeasurementChange(dict(self._facts))
+
+    def document(self) -> list[list[Any]]:
+        """All measurements as JSON values: [name, id, …, value]."""
+        return [[*key, value] for key, value in self._facts.items()]
+
+    def restore(self, document: list[list[Any]], shapes: Mapping[str, Shape]) -> None:
+        """Take over what `document` gave."""
+        self._replace(set(), {tuple(row[:-1]): row[-1] for row in document})
+        for thing, shape in shapes.items():
+            self._index.put(thing, shape.bounds)
+
     def _replace(self, stale: set[tuple[str, ...]], fresh: dict[tuple[str, ...], float]) -> MeasurementChange:
         change = MeasurementChange()
         for key in sorted(stale - fresh.keys()):
@@ -150,8 +172,11 @@ class Relations:
                 touch = 0.5 * (shape_a.voxel_size_m + shape_b.voxel_size_m)
                 fresh["gap", a, b] = gap = max(0.0, gap - touch)
                 upper = lower = gap
-                if gap > 0.0 and around.separated(p, q):
+                passage = around.between(p, q) if gap > 0.0 else "clear"
+                if passage != "clear":
                     upper, lower = around.way_around(p, q, FAR_M)
+                if passage == "unseen":
+                    lower = gap
                 fresh["path_gap_upper", a, b] = min(upper, NO_PATH_M)
                 fresh["path_gap_lower", a, b] = min(lower, NO_PATH_M)
         smaller = min(shape_a.area, shape_b.area)
@@ -171,7 +196,7 @@ class Relations:
         rise, p, q = _rise(over, under)
         fresh["rise", a, b] = rise
         if rise > CONTACT_MARGIN_M:
-            fresh["structure_between", a, b] = float(around.separated(p, q))
+            fresh["structure_between", a, b] = float(around.between(p, q) == "blocked")
         footing_inside, voxels_inside = _inside(over, under, self._is_container(labels[b]))
         if footing_inside > 0.0:
             fresh["footing_inside", a, b] = footing_inside
@@ -262,32 +287,38 @@ def _rise(over: Shape, under: Shape) -> tuple[float, Array, Array]:
 
 
 def _inside(a: Shape, b: Shape, whole_box: bool) -> tuple[float, float]:
-    """Shares of a's footing and of a's voxels that lie in the interior of b."""
-    footing = np.column_stack([a.footing, np.full(len(a.footing), a.lowest)])
+    """Shares of a's footing and of a's voxels that lie in the interior of b.
+
+    The footing is looked at a little above the bottom, where sides of b rise beside it; its top surface does not.
+    """
+    lift = min(1.5 * b.voxel_size_m, 0.5 * (a.highest - a.lowest))
+    footing = np.column_stack([a.footing, np.full(len(a.footing), a.lowest + lift)])
     in_box = b.box.contains(footing, 0.5 * b.voxel_size_m)
     if not in_box.any():
         return 0.0, 0.0
-    voxels = b.box.contains(a.points, 0.5 * b.voxel_size_m)
+    points = _some(a.points, MOST_INSIDE).astype(np.float64)
+    voxels = b.box.contains(points, 0.5 * b.voxel_size_m)
     if not whole_box:
-        in_box &= _enclosed(footing, b)
+        in_box[in_box] = _enclosed(footing[in_box], b)
         if in_box.any():
-            voxels[voxels] = _enclosed(a.points[voxels].astype(np.float64), b)
+            voxels[voxels] = _enclosed(points[voxels], b)
     return float(in_box.mean()), float(voxels.mean())
 
 
 def _enclosed(points: Array, b: Shape) -> Array:
     """(N,) bool: points that b's material closes in at least 4 of the directions ±x, ±y, −z of b's box."""
     box = b.box
-    local = (points - box.center) @ box.rotation
-    material = (b.points.astype(np.float64) - box.center) @ box.rotation
-    reach = 1.5 * b.voxel_size_m
-    closed = np.zeros(len(points), np.int64)
-    for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1), (2, -1)):
-        others = [k for k in range(3) if k != axis]
-        for n, p in enumerate(local):
-            beside = (np.abs(material[:, others] - p[others]) <= reach).all(axis=1)
-            closed[n] += bool((beside & (sign * (material[:, axis] - p[axis]) > -reach)).any())
-    return closed >= 4
+    chosen = np.linspace(0, len(points) - 1, min(len(points), MOST_INSIDE)).astype(np.int64)
+    local = (points[chosen] - box.center) @ box.rotation
+    material = (_some(b.points, MOST_MATERIAL) - box.center) @ box.rotation
+    closed = columns.closed_sides(local, material, 0.75 * b.voxel_size_m * max(1.0, (len(b.points) / MOST_MATERIAL) ** 0.5)) >= 4
+    nearest = np.searchsorted(chosen, np.arange(len(points))).clip(max=len(chosen) - 1)
+    return np.asarray(closed[nearest])
+
+
+def _some(points: Array, most: int) -> Array:
+    """At most `most` of the points, evenly chosen."""
+    return points if len(points) <= most else points[np.linspace(0, len(points) - 1, most).astype(np.int64)]
 
 
 def _bounds_gap(a: tuple[Array, Array], b: tuple[Array, Array]) -> float:

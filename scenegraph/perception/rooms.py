@@ -7,7 +7,7 @@ clearly narrower than either (after Bormann et al., *Room Segmentation: Survey, 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -20,6 +20,7 @@ from mapping.kernels import regions as kernels
 from mapping.layer import Changed
 from mapping.occupancy import OccupancyMap
 from mapping.planes import Plane
+from scenegraph.errors import InvalidStatement
 from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
 from scenegraph.perception.ground import GroundGrid
 
@@ -152,14 +153,14 @@ class Rooms:
         margin = round(HIDDEN_M / CELL_M) + 3
         low, high = low - margin, high + margin
         window = storey.ground.cover(low, high)
-        reached = np.unique(storey.ground.room[window])
+        reached = np.unique(storey.ground.room[window][~storey.ground.drawn[window]])
         reached = reached[reached > 0]
         for room in reached.tolist():
             bounds = np.round(np.reshape(self.footprints[f"room_{room}"].bounds, (2, 2)) / CELL_M).astype(np.int64)
             low, high = np.minimum(low, bounds[0] - margin), np.maximum(high, bounds[1] + margin)
         window = storey.ground.cover(low, high)
         before = storey.ground.room[window].copy()
-        other = (before > 0) & ~np.isin(before, reached)
+        other = ((before > 0) & ~np.isin(before, reached)) | storey.ground.drawn[window]
         barrier = self._barrier(storey, low, before.shape)
         closed = barrier | other
         reach = storey.ground.free[window] & ~closed
@@ -178,6 +179,68 @@ class Rooms:
             if ((owned == room) != (before == room)).any():
                 self._write(room, storey, np.argwhere(after == room) + low, graph, stamp_ns, changes)
                 changed.add(f"room_{room}")
+
+    def draw(self, name: str, polygon: list[Any], graph: SceneGraph, stamp_ns: int) -> tuple[GraphChanges, set[str]]:
+        """A room with this outline (corners x, y [m]), drawn by an operator: mapping leaves its ground alone from now on.
+
+        Returns the changes and the ids of the rooms that it touches. Raises `InvalidStatement`.
+        """
+        try:
+            corners = np.array(polygon, dtype=np.float64)
+            outline = shapely.Polygon(corners)
+        except (ValueError, TypeError) as error:
+            raise InvalidStatement(f"room: the outline is no polygon ({error})", hint="room(name, [[x, y], [x, y], [x, y], …])") from None
+        if corners.shape[1:] != (2,) or not outline.is_valid or outline.area < 0.1:
+            raise InvalidStatement("room: expected corners [x, y] of a simple polygon of at least 0.1 m²")
+        if not self.storeys:
+            raise InvalidStatement("room: no floor has been mapped yet", hint="a room lies on a storey; map some floor first")
+        storey = self.storeys[0]
+        changes, touched = GraphChanges(), set[str]()
+        low, high = np.floor(corners.min(axis=0) / CELL_M).astype(np.int64), np.floor(corners.max(axis=0) / CELL_M).astype(np.int64)
+        window = storey.ground.cover(low, high)
+        cells = np.argwhere(np.ones(storey.ground.room[window].shape, bool))
+        xy = (cells + low + 0.5) * CELL_M
+        mine = shapely.contains_xy(outline, xy[:, 0], xy[:, 1]).reshape(storey.ground.room[window].shape)
+        touched |= {f"room_{n}" for n in np.unique(storey.ground.room[window][mine]).tolist() if n}
+        number, self._next = self._next, self._next + 1
+        storey.ground.room[window][mine] = number
+        storey.ground.drawn[window][mine] = True
+        for room in sorted(touched):
+            self._shrink(room, storey, graph, stamp_ns, changes)
+        self._write(number, storey, np.argwhere(mine) + low, graph, stamp_ns, changes, name=name)
+        return changes, touched | {f"room_{number}"}
+
+    def _shrink(self, room: str, storey: Storey, graph: SceneGraph, stamp_ns: int, changes: GraphChanges) -> None:
+        """Write a room anew that lost ground; one that lost nearly all is gone."""
+        number = int(room.removeprefix("room_"))
+        cells = np.argwhere(storey.ground.room == number)
+        if len(cells) * CELL_M**2 < LEAST_ROOM_M2:
+            storey.ground.room[storey.ground.room == number] = 0
+            changes.delete_node(room, "an operator drew another room there", became=f"room_{self._next - 1}")
+            self.footprints.pop(room, None)
+        else:
+            self._write(number, storey, cells + storey.ground.low, graph, stamp_ns, changes)
+
+    # -- state --------------------------------------------------------------------------------------------
+    def state(self) -> dict[str, Array]:
+        """The arrays that make all storeys."""
+        state: dict[str, Array] = {"next": np.array(self._next), "floors": np.array([s.floor_z for s in self.storeys])}
+        for storey in self.storeys:
+            prefix = f"storey.{storey.number}."
+            state.update({prefix + name: array for name, array in storey.ground.state().items()})
+            walls = [(i, *line) for i, line in storey.walls.items()]
+            state[prefix + "walls"] = np.array(walls, np.float64).reshape(-1, 5)
+        return state
+
+    def restore(self, state: Mapping[str, Array], graph: SceneGraph) -> None:
+        """Take over what `state` gave; footprints are those of the graph's nodes."""
+        self._next = int(state["next"])
+        for k, floor_z in enumerate(state["floors"].tolist()):
+            storey, prefix = Storey(k + 1, floor_z), f"storey.{k + 1}."
+            storey.ground.restore({key.removeprefix(prefix): a for key, a in state.items() if key.startswith(prefix)})
+            storey.walls = {int(row[0]): (row[1], row[2], row[3], row[4]) for row in state[prefix + "walls"].tolist()}
+            self.storeys.append(storey)
+        self.footprints = {n.id: shapely.Polygon(n.attributes["footprint"]) for n in graph.nodes("room")}
 
     def shares(self, xy: Array, z: float) -> dict[str, float]:
         """The share of points (N, 2) [m] at height z [m] that lies in each room."""
@@ -224,7 +287,9 @@ class Rooms:
             renumber[region] = room
         return renumber[labels]
 
-    def _write(self, number: int, storey: Storey, cells: Array, graph: SceneGraph, stamp_ns: int, changes: GraphChanges) -> None:
+    def _write(
+        self, number: int, storey: Storey, cells: Array, graph: SceneGraph, stamp_ns: int, changes: GraphChanges, name: str | None = None
+    ) -> None:
         room = f"room_{number}"
         footprint = _outline(cells)
         self.footprints[room] = footprint
@@ -232,7 +297,8 @@ class Rooms:
         x0, y0, x1, y1 = footprint.bounds
         at = footprint.representative_point() if not footprint.contains(footprint.centroid) else footprint.centroid
         height = 2.4
-        kept = {} if known is None else {k: v for k, v in known.attributes.items() if k in ("name", "type", "type_reason")}
+        named = {} if name is None else {"name": name}
+        kept = named if known is None else {k: v for k, v in known.attributes.items() if k in ("name", "type", "type_reason")}
         changes.put(
             Node(
                 id=room,
