@@ -170,8 +170,9 @@ problem_of(error(syntax_error(What), Context), problem(syntax_error, Message, ""
     format(string(Message), "the goal is not well formed: ~w~w", [Words, Place]).
 problem_of(error(type_error(Type, Culprit), _), problem(bad_argument, Message, "")) :- !,
     format(string(Message), "expected ~w, found ~q", [Type, Culprit]).
-problem_of(error(instantiation_error, _), problem(unbound_variable, "a comparison or sum was reached before its variables had values",
-                                                  "place it after the literals that give them values")) :- !.
+problem_of(error(instantiation_error, _),
+           problem(unbound_variable, "a comparison or sum was reached before its variables had values",
+                   "place it after the literals that give them values")) :- !.
 problem_of(error(existence_error(matching_rule, _), _), Problem) :- !,
     problem_of(error(instantiation_error, _), Problem).
 problem_of(error(evaluation_error(What), _), problem(bad_argument, Message, "")) :- !,

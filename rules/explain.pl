@@ -147,8 +147,9 @@ literal_because(Call, Hidden, Names, because(Text, Truth, Rule, Tests, Evidence,
     ),
     findall(Child, ( member(Thing-Class, Hidden), class_because(Thing, Class, Child) ), Children).
 
-class_because('$some'(Class), _, because(Text, unknown, "part of the world is unobserved", [], [unobserved(world)], [])) :-
+class_because('$some'(Class), _, Because) :-
     !,
+    Because = because(Text, unknown, "part of the world is unobserved", [], [unobserved(world)], []),
     format(string(Text), "no ~w is known", [Class]).
 class_because(Thing, Class, because(Text, true, "", [], Evidence, [])) :-
     format(string(Text), "instance_of(~q, ~q)", [Thing, Class]),

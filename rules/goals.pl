@@ -171,6 +171,13 @@ check(Term, literal(Call, Hidden, Visible)) :-
     pairs_keys(Hidden, HiddenVariables),
     term_variables(Called, Variables),
     exclude(among(HiddenVariables), Variables, Visible).
+check(Term, Goal) :-                    % cup(X): a class is a word of its own
+    compound(Term),
+    compound_name_arguments(Term, Class, [Thing]),
+    \+ plain(Term),
+    known_class(Class),
+    !,
+    check(instance_of(Thing, Class), Goal).
 check(Term, plain(Term)) :-
     callable(Term),
     plain(Term),
@@ -294,12 +301,13 @@ refuse(Term) :-
         ;   predicate_property(user:Head, autoload(_))
         ;   memberchk(Name, [setof, bagof, assert])
         )
-    ->  format(string(Message), "~w/~d may not be asked: questions use the vocabulary, logic, comparison and arithmetic",
+    ->  format(string(Message),
+               "~w/~d may not be asked: questions use the vocabulary, logic, comparison and arithmetic",
                [Name, Arity]),
         throw(problem(forbidden, Message, ""))
     ;   known_class(Name)
-    ->  format(string(Message), "~w/~d is not a predicate but a class", [Name, Arity]),
-        format(string(Hint), "did you mean instance_of(X, ~w)?", [Name]),
+    ->  format(string(Message), "~w is a class and takes one argument", [Name]),
+        format(string(Hint), "did you mean ~w(X)?", [Name]),
         throw(problem(unknown_predicate, Message, Hint))
     ;   findall(Word, ( signature(Known, _), functor(Known, Word, _) ), Words),
         nearest(Name, Words, Nearest),
@@ -335,7 +343,8 @@ spec_template(Spec, Spec) :-
     memberchk(Kind/Arity, [count/1, sum/1, max/1, min/1, bag/1, set/1, max/2, min/2]),
     !.
 spec_template(Spec, _) :-
-    format(string(Message), "aggregate_all: ~q is not count, count(X), sum(X), max(X), min(X), bag(X) or set(X)", [Spec]),
+    format(string(Message), "aggregate_all: ~q is not count, count(X), sum(X), max(X), min(X), bag(X) or set(X)",
+           [Spec]),
     throw(problem(bad_argument, Message, "")).
 
 %!  visible_variables(+Goal, -Variables) is det.

@@ -41,7 +41,8 @@ whatever there is. Any argument may be a variable.
                 *        WHAT THERE IS         *
                 *******************************/
 
-signature(node(thing, layer), "the thing is in this layer of the graph: building, storey, room, place, object, structure, agent").
+signature(node(thing, layer),
+          "the thing is in this layer of the graph: building, storey, room, place, object, structure, agent").
 signature(label(thing, class), "the thing's own label, without the taxonomy").
 signature(named(thing, text), "the name that the thing goes by").
 signature(position(thing, number, number, number), "centre x, y, z in the map frame, metres").

@@ -32,7 +32,9 @@ test(every_word_has_a_definition, true(Missing == [])) :-
               \+ predicate_property(vocabulary:Any, defined) ),
             Missing).
 test(every_word_is_documented_once, true(Twice == [])) :-
-    findall(N/A, ( signature(H, D), functor(H, N, A), ( \+ string(D) ; functor(G, N, A), findall(x, signature(G, _), [_,_|_]) ) ),
+    findall(N/A,
+            ( signature(H, D), functor(H, N, A),
+              ( \+ string(D) ; functor(G, N, A), findall(x, signature(G, _), [_,_|_]) ) ),
             Twice).
 test(every_plain_builtin_is_safe, true(Unsafe == [])) :-
     findall(Goal,
@@ -53,7 +55,8 @@ test(true, true(Truth-Rows == true-[[cup_1]])) :- asked("on(X, table)", Truth, R
 test(false, true(Truth-Rows == false-[])) :- asked("on(table, X)", Truth, Rows, none).
 test(problem, true(Truth == unknown)) :- asked("on(X, tabel)", Truth, [], problem(unknown_name, _, _)).
 test(inference_limit, true(Code == resource_limit)) :-
-    ask("between(1, 100 000 000, X), X < 0", options(10, 10, 1000, false, none), reply(_, _, _, _, problem(Code, _, _), _)).
+    ask("between(1, 100 000 000, X), X < 0", options(10, 10, 1000, false, none), Reply),
+    Reply = reply(_, _, _, _, problem(Code, _, _), _).
 test(trusted_calls_see_errors, true(Code == bad_argument)) :-
     call_trusted("X is foo+1", 10, 1, problem(Code, _, _)).
 

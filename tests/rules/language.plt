@@ -39,7 +39,8 @@ test(names, true(Goal = instance_of(_, guest_room))) :- means("in the guest room
 test(ids, true(Goal = (_ = cup_1))) :- means("cup_1", thing, none, Goal).
 test(synonyms, true(Goal = instance_of(_, tv))) :- means("the television", thing, none, Goal).
 test(questions, true(Goal = instance_of(_, cup))) :- means("Where is the cup?", thing, none, Goal).
-test(what_is_there, true(Goal = (instance_of(Y, table), on(_, Y)))) :- means("What is on the table?", thing, none, Goal).
+test(what_is_there, true(Goal = (instance_of(Y, table), on(_, Y)))) :-
+    means("What is on the table?", thing, none, Goal).
 test(anything, true(Goal = (object(X), instance_of(Y, table), on(X, Y)))) :-
     means("everything on the table", thing, none, Goal).
 test(relative_clause, true(Goal = (instance_of(X, cup), instance_of(Y, oven), near(X, Y)))) :-

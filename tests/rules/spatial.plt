@@ -167,10 +167,12 @@ test(without_a_voxel_the_margin_alone, fail) :-
 :- begin_tests(edges, [setup(with([ node(cup, object), node(table, object), node(chair, object),
                                     measured(lowest, cup, 0.75), measured(lowest, table, 0.0),
                                     measured(contact, cup, table, 1.0), measured(footing_seen, cup, 1.0),
-                                    measured(path_gap_upper, chair, table, 0.1), measured(path_gap_lower, chair, table, 0.1),
+                                    measured(path_gap_upper, chair, table, 0.1),
+                                    measured(path_gap_lower, chair, table, 0.1),
                                     measured(longer_side, table, 1.4), measured(longer_side, chair, 0.4) ]))]).
 
-test(in_both_directions, true(Names == [near(chair, table), near(table, chair), on(cup, table), supports(table, cup)])) :-
+test(in_both_directions,
+     true(Names == [near(chair, table), near(table, chair), on(cup, table), supports(table, cup)])) :-
     derived_edges_of([cup, table], Edges),
     findall(Name, ( member(edge(R, A, B, _, _, _), Edges), Name =.. [R, A, B] ), Names0),
     sort(Names0, Names).

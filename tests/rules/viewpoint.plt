@@ -27,7 +27,8 @@ test(the_other_end_is_the_next_sector, true(R == [right_of])) :-
     with([position(b, 0.0, 0.0, 0.0), position(a, 1.0, 1.0, 0.0)]), relation(a, b, point(5, 0, 1), R).
 test(out_of_reach_nothing_holds, true(R == [])) :- around(10, 3.1), relation(a, b, point(5, 0, 1), R).
 test(the_opposite_viewer_exchanges, true(Odd == [])) :-
-    findall(D, ( between(0, 359, D), Off is D+0.5, around(Off, 1), relation(a, b, point(5, 0, 1), [R]), relation(a, b, point(-5, 0, 1), [S]),
+    findall(D, ( between(0, 359, D), Off is D+0.5, around(Off, 1),
+                 relation(a, b, point(5, 0, 1), [R]), relation(a, b, point(-5, 0, 1), [S]),
                  \+ exchanged(R, S) ), Odd).
 test(turning_the_world_changes_nothing, true(Odd == [])) :-
     findall(D, ( between(0, 359, D), T is D*pi/180,
@@ -58,6 +59,7 @@ test(beside_the_way, fail) :- tell([position(c, 0.5, 0.2, 0.5), size(c, 0.1, 0.1
 test(turned_into_the_way, all(T == [c])) :-
     tell([position(c, 0.5, 0.2, 0.5), size(c, 0.6, 0.02, 0.2), yaw(c, 1.5708)]), between_them(a, b, T).
 test(too_low_to_matter, fail) :- tell([position(c, 0.5, 0.0, 0.0), size(c, 0.1, 0.1, 0.2)]), between_them(a, b, c).
-test(beyond_the_end, fail) :- tell([position(c, 1.4, 0.0, 0.5), size(c, 0.1, 0.1, 0.2), yaw(c, 0)]), between_them(a, b, c).
+test(beyond_the_end, fail) :-
+    tell([position(c, 1.4, 0.0, 0.5), size(c, 0.1, 0.1, 0.2), yaw(c, 0)]), between_them(a, b, c).
 
 :- end_tests(between_them).
