@@ -29,26 +29,33 @@ LOCAL_IJK: NDArray[np.int32] = np.stack(np.unravel_index(np.arange(BLOCK_VOXELS)
 LOCAL_IJK.setflags(write=False)
 
 
+def read_only(array: Array) -> Array:
+    """A view that cannot be written, so that kernels are compiled for one type of input whatever the caller holds."""
+    view = array.view()
+    view.setflags(write=False)
+    return view
+
+
 def as_points(points: ArrayLike, name: str = "p_map") -> NDArray[np.float64]:
-    """`points` as contiguous (N, 3) float64; raises `InvalidParameter` on another shape."""
+    """`points` as contiguous read-only (N, 3) float64; raises `InvalidParameter` on another shape."""
     array = np.ascontiguousarray(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise InvalidParameter(f"{name}: expected points (N, 3), got an array of shape {array.shape}")
-    return array
+    return read_only(array)
 
 
 def as_blocks(block_ijk: ArrayLike) -> NDArray[np.int32]:
-    """`block_ijk` as contiguous (K, 3) int32; raises `InvalidParameter` on another shape."""
+    """`block_ijk` as contiguous read-only (K, 3) int32; raises `InvalidParameter` on another shape."""
     array = np.asarray(block_ijk)
     if array.size == 0:
-        return np.empty((0, 3), np.int32)
+        return read_only(np.empty((0, 3), np.int32))
     if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "iu":
         raise InvalidParameter(f"block_ijk: expected integers (K, 3), got {array.dtype} of shape {array.shape}")
     if max(-int(array.min()), int(array.max()) + 1) > hashing.BLOCK_LIMIT:
         raise InvalidParameter(
             f"block_ijk: expected indices within ±{hashing.BLOCK_LIMIT}, got {int(np.abs(array).max())}"
         )
-    return np.ascontiguousarray(array, dtype=np.int32)
+    return read_only(np.ascontiguousarray(array, dtype=np.int32))
 
 
 def point_to_ijk(p_map: ArrayLike, voxel_size_m: float) -> NDArray[np.int32]:
@@ -77,7 +84,7 @@ def join_ijk(block_ijk: ArrayLike, local: ArrayLike) -> NDArray[np.int32]:
 def new_table(block_ijk: NDArray[np.int32], n_blocks: int, capacity: int) -> NDArray[np.int64]:
     """A hash table with room for `capacity` blocks, in which the first `n_blocks` of block_ijk have slots 0, 1, …"""
     table = np.full((1 << max(6, (2 * capacity - 1).bit_length()), 2), -1, np.int64)
-    hashing.refill(table, block_ijk, n_blocks)
+    hashing.refill(table, read_only(block_ijk), n_blocks)
     return table
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.errors import InvalidParameter
-from mapping.grid import BLOCK_VOXELS, new_table
+from mapping.grid import BLOCK_VOXELS, as_blocks, new_table
 from mapping.kernels import marching_cubes
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def extract_mesh(tsdf: TsdfMap, *, min_weight: float = 0.0) -> Mesh:
 
     min_weight : voxels of less weight count as unknown
     """
-    blocks = np.ascontiguousarray(tsdf.block_ijk)
+    blocks = as_blocks(tsdf.block_ijk)
     fields = tsdf.store.fields
     field = (tsdf.store.table, fields["distance"], fields["weight"], float(min_weight))
     numbers = np.empty((len(blocks), BLOCK_VOXELS, 3), np.int32)

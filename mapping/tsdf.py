@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapping.errors import InvalidObservation, InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
-from mapping.grid import BLOCK_VOXELS, BlockStore, as_blocks, as_points, new_table
+from mapping.grid import BLOCK_VOXELS, BlockStore, as_blocks, as_points, new_table, read_only
 from mapping.kernels import surface, tsdf, visibility
 from mapping.layer import Changed, MapLayer, require
 from mapping.view import DepthView, as_pose
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Array: TypeAlias = NDArray[Any]
 
-_NO_COLOR = np.empty((0, 0, 3), np.uint8)
+_NO_COLOR = read_only(np.empty((0, 0, 3), np.uint8))
 _NO_COLORS = np.empty((0, 0, 3), np.uint16)
 _CHUNK = 1024  # blocks sampled at once: bounds the memory of `surface`
 
@@ -98,7 +98,7 @@ class TsdfMap(MapLayer):
         ends = as_points(p_sensor, "p_sensor")
         if not np.isfinite(ends).all():
             raise InvalidObservation("p_sensor: expected finite points, got NaN or infinity")
-        ends = np.ascontiguousarray(pose @ ends)
+        ends = pose @ ends
         room, n_blocks, beam = 1024, 0, 0
         blocks = np.empty((room, 3), np.int32)
         sums, weights = np.empty((room, BLOCK_VOXELS), np.float32), np.empty((room, BLOCK_VOXELS), np.float32)
@@ -133,7 +133,7 @@ class TsdfMap(MapLayer):
         """Fuse a depth image that has been prepared already."""
         image = _NO_COLOR
         if color is not None:
-            image = np.ascontiguousarray(color)
+            image = read_only(np.ascontiguousarray(color))
             if image.dtype != np.uint8 or image.shape != (*view.reach.shape, 3):
                 raise InvalidObservation(
                     f"color: expected uint8 {(*view.reach.shape, 3)} like depth, got {image.dtype} {image.shape}"
@@ -176,7 +176,7 @@ class TsdfMap(MapLayer):
         Returns points (N, 3) float32 [m], unit normals (N, 3) float32 into free space, and for each point the row (N,)
         of its block in `block_ijk`. Voxels of a weight below `min_weight` count as unknown.
         """
-        blocks = self.block_ijk if block_ijk is None else as_blocks(block_ijk)
+        blocks = as_blocks(self.block_ijk if block_ijk is None else block_ijk)
         fields = self.store.fields
         parts = []
         counts = np.empty(len(blocks), np.int64)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapping.errors import InvalidObservation
 from mapping.geometry import SE3, CameraIntrinsics
+from mapping.grid import read_only
 from mapping.kernels import visibility
 
 Array: TypeAlias = NDArray[Any]
@@ -26,10 +27,10 @@ def as_depth_m(depth: Array) -> NDArray[np.float32]:
     if image.ndim != 2:
         raise InvalidObservation(f"depth: expected an image (H, W), got shape {image.shape}")
     if image.dtype == np.uint16:
-        return np.asarray(image * np.float32(0.001), dtype=np.float32)
+        return read_only(image * np.float32(0.001))
     if image.dtype != np.float32:
         raise InvalidObservation(f"depth: expected float32 [m] or uint16 [mm], got {image.dtype}")
-    return np.ascontiguousarray(image)
+    return read_only(np.ascontiguousarray(image))
 
 
 class DepthView:
