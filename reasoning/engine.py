@@ -85,10 +85,7 @@ class Engine:
         A worker that has not answered within `timeout_s` and a little grace is killed and replaced.
         """
         with self._lock:
-            if self._process is None:
-                raise EngineUnavailable("the engine was closed")
-            if self._process.poll() is not None:
-                self._restart()
+            self._ensure_running()
             for _ in range(2):  # a worker that died may have been killed from outside: the next one shows
                 try:
                     return self._exchange(command, payload, timeout_s)
@@ -98,6 +95,28 @@ class Engine:
                 except (EOFError, BrokenPipeError):
                     self._restart()
             return problem("resource_limit", "the goal used up the engine's memory twice; the engine was started anew")
+
+    def tell(self, change: Callable[[], str]) -> Term:
+        """Carry out `change` on what is remembered and tell the worker the text that it returns.
+
+        A worker that dies over it is replaced, and the new one is told everything that is then remembered.
+        """
+        with self._lock:
+            self._ensure_running()
+            text = change()
+            if not text:
+                return Atom("updated")
+            try:
+                return self._exchange(Atom("update"), text, _START_TIMEOUT_S + len(text) / 1e6)
+            except (TimeoutError, EOFError, BrokenPipeError):
+                self._restart()
+                return Atom("updated")
+
+    def _ensure_running(self) -> None:
+        if self._process is None:
+            raise EngineUnavailable("the engine was closed")
+        if self._process.poll() is not None:
+            self._restart()
 
     def close(self) -> None:
         """End the worker. Closing twice does nothing."""

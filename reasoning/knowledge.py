@@ -191,9 +191,7 @@ class KnowledgeBase:
         `position(object_1, …)` takes the place of the first. `deleted` facts are found by their key too; a `Var` there
         matches anything. `forget` removes every fact about an id. Raises `InvalidFact`, `InvalidTerm`.
         """
-        text = self._facts.change(put, deleted, forget)
-        if text:
-            self._expect("updated", self._engine.request(Atom("update"), text, timeout_s=10.0 + len(text) / 1e6))
+        self._expect("updated", self._engine.tell(lambda: self._facts.change(put, deleted, forget)))
 
     def ask(
         self,

@@ -188,6 +188,10 @@ reason(instance_of(Id, Class), true, [], Evidence) :-
 reason(room_type(Room, Type), true, [], [Reason]) :-
     room_type(Room, Type, Reason),
     !.
+reason(Call, true, [], [node(Id, Layer)]) :-
+    Call =.. [Layer, Id],
+    node(Id, Layer),
+    !.
 reason(gap(A, B, _), true, [], [measured(gap, A, B, Value)]) :-
     mutual(gap, A, B, Value),
     !.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import threading
@@ -75,6 +76,32 @@ def test_a_new_engine_is_told_the_same(fresh: KnowledgeBase) -> None:
     assert fresh.engine.pid is not None
     os.kill(fresh.engine.pid, 9)
     assert everything(fresh) == before
+
+
+def test_a_worker_that_dies_before_it_is_told_learns_each_fact_once(fresh: KnowledgeBase) -> None:
+    assert fresh.engine.pid is not None
+    os.kill(fresh.engine.pid, 9)
+    fresh.update([fact("measured", "contact", "bowl_1", "book_1", 0.5)])
+    told = [line for line in everything(fresh) if line.startswith("measured(contact,bowl_1")]
+    assert sorted(told) == ["measured(contact,bowl_1,book_1,0.5)", "measured(contact,bowl_1,table_1,1.0)"]
+
+
+def test_threads_that_tell_and_ask_agree_in_the_end(fresh: KnowledgeBase) -> None:
+    def tell(name: str) -> None:
+        for number in range(12):
+            fresh.update([fact("attribute", name, "count", number)])
+            if number == 5 and fresh.engine.pid is not None:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(fresh.engine.pid, 9)
+            fresh.ask("on(cup_1, table_1)")
+
+    threads = [threading.Thread(target=tell, args=(name,)) for name in ("a", "b", "c")]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    told = [line for line in everything(fresh) if "count" in line]
+    assert told == [f"attribute({name},count,11)" for name in ("a", "b", "c")]
 
 
 def test_unchanged_facts_are_not_sent_again() -> None:
