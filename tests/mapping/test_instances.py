@@ -1,0 +1,206 @@
+"""Masks of single images become things that last: from all sides, through occlusion, mislabelling and missed masks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from mapping.geometry import SE3
+from mapping.instances import InstanceMap
+from mapping.segmentation import segment
+from tests.support.scenes import CAMERA, Block, Scene, looking_at
+
+VOXEL = 0.025
+FLOOR = Block("floor", (0.0, 0.0, -0.1), (6.0, 6.0, 0.2))
+
+
+def box(label: str, x: float, y: float, thing: int, size: tuple[float, float, float] = (0.3, 0.3, 0.3)) -> Block:
+    return Block(label, (x, y, 0.5 * size[2]), size, thing)
+
+
+class Watching:
+    """An instance map that looks at a scene."""
+
+    def __init__(self, *blocks: Block) -> None:
+        self.scene = Scene((FLOOR, *blocks))
+        self.map = InstanceMap(voxel_size_m=VOXEL)
+        self.merged: dict[int, int] = {}
+        self.now = 0
+        self.things = np.zeros(1 << 16, bool)
+        for label in self.scene.classes:
+            self.things[self.scene.id_of(label)] = label != "floor"
+
+    def look(
+        self, eye: tuple[float, float, float], target: tuple[float, float, float] = (0.0, 0.0, 0.1), *,
+        hide: Iterable[int] = (), rename: dict[int, str] | None = None, masks: dict[int, int] | None = None,
+    ) -> frozenset[int]:  # fmt: skip
+        """One image; `masks`: instance id → the one that the segmenter gives in this image. Returns the touched ids."""
+        self.now += 1
+        image = self.scene.image(looking_at(eye, target), self.now, hide=hide, rename=rename)
+        for old, new in (masks or {}).items():
+            given = image.instances.copy()
+            given[image.instances == old] = new
+            image = image.model_copy(update={"instances": given})
+        seen = segment(image, image.depth_m, self.things)
+        change = self.map.integrate_image(seen, image.depth_m, CAMERA, image.T_map_camera or SE3.identity(), self.now)
+        self.merged |= change.merged
+        return change.touched
+
+    def around(self, turns: int = 8, radius: float = 1.4, **how: object) -> None:
+        for n in range(turns):
+            angle = 2 * np.pi * n / turns
+            self.look((radius * np.cos(angle), radius * np.sin(angle), 1.0), **how)  # type: ignore[arg-type]
+
+    @property
+    def ids(self) -> list[int]:
+        return sorted(self.map.instances)
+
+    def at(self, *point: float) -> int:
+        return int(self.map.query([point])[0])
+
+
+def test_a_thing_keeps_its_id_when_seen_from_the_other_side() -> None:
+    world = Watching(box("crate", 0.0, 0.0, 1))
+    world.look((1.4, 0.0, 1.0))
+    world.look((-1.4, 0.0, 1.0))
+    assert world.ids == [1], "the top joins both sides"
+    assert world.at(0.149, 0.0, 0.15) == world.at(-0.149, 0.0, 0.15) == 1
+    assert world.map.instances[1].views == 2
+    assert (world.map.instances[1].first_seen_ns, world.map.instances[1].last_seen_ns) == (1, 2)
+
+
+def test_the_points_of_a_thing_lie_on_its_surface() -> None:
+    world = Watching(box("crate", 0.0, 0.0, 1))
+    world.around()
+    points, weights = world.map.points(1)
+    off = np.abs(np.abs(points - (0.0, 0.0, 0.15)).max(axis=1) - 0.15)
+    assert len(points) == len(weights) > 300
+    assert np.median(off) < 0.002
+    assert np.quantile(off, 0.98) < VOXEL
+    assert (weights > 0).all()
+
+
+def test_touching_things_with_masks_of_their_own_stay_two() -> None:
+    world = Watching(box("book", -0.15, 0.0, 1), box("book", 0.15, 0.0, 2))
+    world.around(16)
+    assert len(world.ids) == 2
+    assert not world.merged
+    assert world.at(-0.1, 0.149, 0.2) != world.at(0.1, 0.149, 0.2)
+    sizes = [len(world.map.points(i)[0]) for i in world.ids]
+    assert max(sizes) < 1.25 * min(sizes)
+
+
+def test_mask_ids_mean_nothing_from_one_image_to_the_next() -> None:
+    world = Watching(box("crate", -0.4, 0.0, 1), box("crate", 0.4, 0.0, 2))
+    world.around(4)
+    first = (world.at(-0.4, 0.0, 0.299), world.at(0.4, 0.0, 0.299))
+    world.around(4, masks={1: 9, 2: 1})
+    assert len(world.ids) == 2
+    assert (world.at(-0.4, 0.0, 0.299), world.at(0.4, 0.0, 0.299)) == first
+
+
+@pytest.mark.parametrize("first", [0.5, 0.9, 1.3])
+def test_fragments_become_one_when_a_mask_covers_both(first: float) -> None:
+    """A long bench first seen in two parts, then whole; the part seen first may be the smaller one."""
+    middle, second = -0.9 + first, 1.8 - first
+    left, right = middle - 0.5 * first, middle + 0.5 * second
+    world = Watching(box("bench", left, 0.0, 1, (first, 0.3, 0.3)), box("bench", right, 0.0, 2, (second, 0.3, 0.3)))
+    world.look((left, 1.0, 1.0), (left, 0.0, 0.1), hide=[2])
+    world.look((right, 1.0, 1.0), (right, 0.0, 0.1), hide=[1])
+    assert len(world.ids) == 2
+    touched: set[int] = set()
+    for _ in range(4):
+        touched = set(world.look((0.0, 2.2, 1.2), masks={1: 5, 2: 5}))
+        if world.merged:
+            break
+    assert world.ids == [1], "the older id stays"
+    assert world.merged == {2: 1}
+    assert 1 in touched, "the one that stays has changed"
+    assert world.at(left, 0.0, 0.299) == world.at(right, 0.0, 0.299) == 1
+    assert world.map.instances[1].first_seen_ns == 1
+
+
+def test_missed_masks_cost_nothing() -> None:
+    world = Watching(box("crate", 0.0, 0.0, 1))
+    world.around(4)
+    before = len(world.map.points(1)[0])
+    for _ in range(6):
+        world.around(1, hide=[1])
+    assert world.ids == [1]
+    assert len(world.map.points(1)[0]) > 0.97 * before, "at most its border with the floor gets thinner"
+
+
+def test_single_wrong_labels_change_neither_identity_nor_class() -> None:
+    world = Watching(box("crate", 0.0, 0.0, 1), box("sofa", 50.0, 50.0, 2))
+    world.around(4)
+    world.around(1, rename={1: "sofa"})
+    world.around(4)
+    assert len(world.ids) == 1
+    known = world.map.instances[1]
+    assert known.label == world.scene.id_of("crate")
+    assert 0.5 < known.label_share < 1.0
+
+
+def test_things_far_apart_never_share_an_id() -> None:
+    world = Watching(box("cup", -1.0, 0.0, 1), box("cup", 1.0, 0.0, 2))
+    world.look((-1.0, 1.2, 0.9), (-1.0, 0.0, 0.1), masks={1: 1})
+    world.look((1.0, 1.2, 0.9), (1.0, 0.0, 0.1), masks={2: 1})
+    assert len(world.ids) == 2
+
+
+def test_a_small_thing_before_a_large_one_of_another_class_keeps_its_own_id() -> None:
+    world = Watching(box("shelf", 0.0, -0.4, 1, (1.2, 0.3, 1.0)), box("vase", 0.0, -0.1, 2, (0.15, 0.15, 0.25)))
+    for x in (-0.8, -0.3, 0.3, 0.8):
+        world.look((x, 1.5, 1.0), (0.0, -0.2, 0.3))
+    assert len(world.ids) == 2
+    vase = world.at(0.0, -0.026, 0.15)
+    assert world.map.instances[vase].label == world.scene.id_of("vase")
+
+
+def test_what_a_thing_left_behind_belongs_to_nobody_after_a_while() -> None:
+    world = Watching(box("crate", 0.0, 0.0, 1))
+    world.around(4)
+    world.scene = Scene((FLOOR, box("crate", 2.0, 2.0, 1)))
+    for _ in range(30):
+        world.look((0.0, 1.4, 1.0))
+    assert world.at(0.0, 0.0, 0.012) == 0, "the floor that was under it is seen"
+
+
+def test_joined_and_forgotten_as_told() -> None:
+    world = Watching(box("crate", -0.4, 0.0, 1), box("crate", 0.4, 0.0, 2))
+    world.around(4)
+    left, right = world.at(-0.4, 0.0, 0.299), world.at(0.4, 0.0, 0.299)
+    change = world.map.join(left, right)
+    assert change.merged == {right: left}
+    assert left in change.touched
+    assert world.ids == [left]
+    assert world.at(0.4, 0.0, 0.299) == left
+    world.map.forget(left)
+    assert world.ids == []
+    assert world.at(0.4, 0.0, 0.299) == 0
+    world.around(4)
+    assert left not in world.ids, "an id is given once"
+    assert world.ids
+
+
+def test_a_map_that_comes_back_from_its_state_goes_on_with_the_same_ids() -> None:
+    world = Watching(box("crate", -0.4, 0.0, 1), box("crate", 0.4, 0.0, 2))
+    world.around(4)
+    ids = world.ids
+    again = InstanceMap.from_state({name: np.array(array) for name, array in world.map.state().items()})
+    for i in ids:
+        assert np.array_equal(again.points(i)[0], world.map.points(i)[0])
+        assert again.instances[i] == world.map.instances[i]
+    world.map = again
+    world.around(4)
+    assert world.ids == ids
+
+
+@pytest.mark.parametrize("empty", [True, False])
+def test_a_query_of_unknown_places_is_zero(empty: bool) -> None:
+    world = Watching(box("crate", 0.0, 0.0, 1))
+    if not empty:
+        world.around(2)
+    assert world.map.query([[50.0, 0.0, 0.0], [0.0, 0.0, 1.5]]).tolist() == [0, 0]
