@@ -260,6 +260,11 @@ class KnowledgeBase:
             edges.append(DerivedEdge(inverse.name, b.name, a.name, value, threshold, confidence))
         return [atom.name for atom in cast(list[Atom], answer["Ids"])], edges
 
+    def vocabulary(self) -> dict[str, str]:
+        """The words that can be asked, with the kinds of their arguments, and what each means."""
+        rows = self.call("signature(Head, Meaning)")
+        return {str(row["Head"]).replace(",", ", "): str(row["Meaning"]) for row in rows}
+
     def phrase(self, text: str) -> Phrase:
         """What a phrase such as "near the oven" or "the red cup on the table" means; see `Phrase`."""
         result = self._engine.request(Atom("phrase"), text, timeout_s=1.0)

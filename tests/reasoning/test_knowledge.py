@@ -197,6 +197,12 @@ def test_planes_are_labelled_through_a_trusted_call(home: KnowledgeBase) -> None
     assert labels == {1: "floor", 2: "ceiling", 3: "wall"}
 
 
+def test_the_vocabulary_can_be_listed(home: KnowledgeBase) -> None:
+    words = home.vocabulary()
+    assert words["near(thing, thing)"] == "a short way apart, around walls"
+    assert len(words) > 40
+
+
 @pytest.mark.parametrize(
     ("text", "kind", "relation"),
     [
