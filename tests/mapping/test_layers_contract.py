@@ -16,6 +16,7 @@ from mapping.grid import BLOCK_VOXELS, ijk_to_centre, join_ijk
 from mapping.kernels import hashing, marching_cubes, occupancy, surface, tsdf, visibility
 from mapping.layer import Changed, MapLayer
 from mapping.occupancy import OccupancyMap
+from mapping.semantics import SemanticMap
 from mapping.tsdf import TsdfMap
 from tests.support.rooms import SMALL_CAMERA, TOUR, Room
 
@@ -53,8 +54,17 @@ def feed_source(layer: EsdfMap, n: int) -> Changed:
     return layer.update()
 
 
+def votes(layer: SemanticMap, n: int) -> Changed:
+    points = TOUR[n] @ Room().scan(TOUR[n], 400, seed=n)
+    return layer.integrate(points, np.where(points[:, 2] < 0.0, 3, 8))
+
+
 def value(layer: MapLayer, points: np.ndarray) -> np.ndarray:
     return layer.query(points)
+
+
+def confidence(layer: SemanticMap, points: np.ndarray) -> np.ndarray:
+    return layer.query(points)[1]
 
 
 CASES = [
@@ -78,6 +88,7 @@ CASES = [
         {"truncation_m": True},
         1e-4,
     ),
+    Case("semantics", SemanticMap, votes, confidence, {"memory": -1.0}, 1e-5),
 ]
 
 
