@@ -15,6 +15,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -146,6 +147,7 @@ class Engine:
         os.close(theirs_in)
         os.close(theirs_out)
         self._to_worker, self._from_worker = ours_out, ours_in
+        self._end = weakref.finalize(self, _end, self._process, (ours_in, ours_out), os.getpid())
         ours = [str(file) for file in sorted(rule_path().glob("*.pl"))]
         try:
             load = Compound("load", (ours, [str(file) for file in self._rule_files]))
@@ -169,14 +171,16 @@ class Engine:
         self._start()
 
     def _stop(self) -> None:
-        if self._process is None:
-            return
-        self._process.kill()
-        self._process.wait()
-        for pipe in (self._to_worker, self._from_worker):
-            if pipe >= 0:
-                os.close(pipe)
-        self._to_worker = self._from_worker = -1
+        if self._process is not None:
+            self._end()
+
+
+def _end(process: subprocess.Popen[bytes], pipes: tuple[int, int], owner: int) -> None:
+    if os.getpid() == owner:  # a forked copy of the owner must not end its worker
+        process.kill()
+        process.wait()
+    for pipe in pipes:
+        os.close(pipe)
 
 
 def _write(pipe: int, message: bytes) -> None:

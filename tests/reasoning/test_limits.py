@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import time
 from pathlib import Path
@@ -255,6 +256,16 @@ def test_a_closed_engine_says_so_and_closes_twice() -> None:
     engine.close()
     with pytest.raises(Exception, match="closed"):
         engine.request(Atom("ping"), timeout_s=1)
+
+
+def test_a_forgotten_engine_ends_its_worker() -> None:
+    engine = Engine()
+    pid = engine.pid
+    assert pid is not None
+    del engine
+    gc.collect()
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
 
 
 def test_ping(home: KnowledgeBase) -> None:
