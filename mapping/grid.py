@@ -21,6 +21,8 @@ Array: TypeAlias = NDArray[Any]
 BLOCK_EDGE = 8
 """Voxels along a block's edge."""
 BLOCK_VOXELS = BLOCK_EDGE**3
+ADDRESSABLE_VOXELS = BLOCK_EDGE * hashing.BLOCK_LIMIT
+"""Voxel indices lie within ± this."""
 
 LOCAL_IJK: NDArray[np.int32] = np.stack(np.unravel_index(np.arange(BLOCK_VOXELS), (BLOCK_EDGE,) * 3), axis=1).astype(
     np.int32

@@ -12,7 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapping.errors import InvalidObservation, InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
-from mapping.grid import BLOCK_VOXELS, BlockStore, as_points, ijk_to_centre, join_ijk, new_table, point_to_ijk
+from mapping.grid import (
+    ADDRESSABLE_VOXELS,
+    BLOCK_VOXELS,
+    BlockStore,
+    as_points,
+    ijk_to_centre,
+    join_ijk,
+    new_table,
+    point_to_ijk,
+)
 from mapping.kernels import boxes, occupancy, visibility
 from mapping.layer import Changed, MapLayer, require
 from mapping.view import DepthView, as_pose
@@ -21,6 +30,8 @@ Array: TypeAlias = NDArray[Any]
 
 OCCUPIED, FREE, UNKNOWN = 1, 0, -1
 """Codes that `classify` and `box` give."""
+FINEST, COARSEST = 16, 8
+"""Levels of OctoMap's tree that `query` answers at."""
 
 
 def _log_odds(probability: float) -> float:
@@ -158,9 +169,13 @@ class OccupancyMap(MapLayer):
         return self._note(slots[changed])
 
     # -- questions ----------------------------------------------------------------------------------------
-    def query(self, p_map: ArrayLike) -> NDArray[np.float64]:
-        """The probability (N,) that the voxel at each point (N, 3) [m] is occupied; NaN where unknown."""
-        values = self._values(p_map)
+    def query(self, p_map: ArrayLike, *, depth: int = FINEST) -> NDArray[np.float64]:
+        """The probability (N,) that the voxel at each point (N, 3) [m] is occupied; NaN where unknown.
+
+        depth : level of OctoMap's tree. 16 asks for voxels, 15 for cubes of 2³ voxels, … down to 8; a cube is as
+                occupied as its most occupied voxel, and unknown where all of it is.
+        """
+        values = self._values(p_map) if depth == FINEST else self._coarse_values(p_map, depth)
         with np.errstate(invalid="ignore"):
             return 1.0 / (1.0 + np.exp(np.where(values == occupancy.UNKNOWN, np.nan, -self.log_odds_step * values)))
 
@@ -202,6 +217,20 @@ class OccupancyMap(MapLayer):
     def _centres(self, which: Array) -> NDArray[np.float64]:
         slots, local = np.nonzero(which)
         return ijk_to_centre(join_ijk(self.block_ijk[slots], local), self.voxel_size_m)
+
+    def _coarse_values(self, p_map: ArrayLike, depth: int) -> NDArray[np.int8]:
+        if depth not in range(COARSEST, FINEST + 1):
+            raise InvalidParameter(f"depth: expected a level in {COARSEST} … {FINEST}, got {depth!r}")
+        points = as_points(p_map)
+        values = np.full(len(points), occupancy.UNKNOWN, np.int8)
+        inside = np.isfinite(points).all(axis=1) & (np.abs(points) < ADDRESSABLE_VOXELS * self.voxel_size_m).all(axis=1)
+        shift = FINEST - depth
+        cells, which = np.unique(point_to_ijk(points[inside], self.voxel_size_m) >> shift, axis=0, return_inverse=True)
+        highest = np.full(len(cells), occupancy.UNKNOWN, np.int8)
+        corners = cells.astype(np.int64) << shift
+        boxes.highest_in_cells(self.store.table, self.store.fields["evidence"], corners, 1 << shift, highest)
+        values[inside] = highest[which.ravel()]
+        return values
 
     def _values(self, p_map: ArrayLike) -> NDArray[np.int8]:
         slots, local = self.store.locate(p_map)

@@ -15,6 +15,9 @@ from mapping.kernels import visibility
 
 Array: TypeAlias = NDArray[Any]
 
+ROOTS_ALONG_AXIS = 4
+"""About so many cells along the frustum's box are where the search for blocks begins."""
+
 
 def as_pose(pose: SE3 | ArrayLike, name: str) -> SE3:
     """An `SE3` or a homogeneous matrix (4, 4) as `SE3`."""
@@ -75,29 +78,29 @@ class DepthView:
 
         front_m, back_m : how far before and behind a surface a block still counts as near it [m]
         """
-        roots = self._roots(block_size_m * (1 << visibility.ROOT_LEVEL), back_m)
+        roots, level = self._roots(block_size_m, back_m)
         n = 4096
         while True:
             blocks, kinds = np.empty((n, 3), np.int32), np.empty(n, np.uint8)
             count = visibility.list_blocks(
-                self._pyramid, self.camera, roots, block_size_m, front_m, back_m, with_free, blocks, kinds
+                self._pyramid, self.camera, roots, level, block_size_m, front_m, back_m, with_free, blocks, kinds
             )
             if count <= n:
                 return blocks[:count], kinds[:count]
             n = count
 
-    def _roots(self, edge_m: float, back_m: float) -> NDArray[np.int64]:
-        """The cells (r, 3) of this edge that the frustum's bounding box meets."""
+    def _roots(self, block_size_m: float, back_m: float) -> tuple[NDArray[np.int64], int]:
+        """The cells (r, 3) of 2^level blocks along an edge that the frustum's bounding box meets, and that level."""
         if self.farthest_m == 0.0:
-            return np.empty((0, 3), np.int64)
+            return np.empty((0, 3), np.int64), 0
         fx, fy, cx, cy, width, height = self.camera[12:]
         z = self.farthest_m + back_m
         x = z * (np.array([-0.5, width - 0.5]) - cx) / fx
         y = z * (np.array([-0.5, height - 0.5]) - cy) / fy
         corners = np.array([[0.0, 0.0, 0.0]] + [[a, b, z] for a in x for b in y])
         corners_map = corners @ self.pose[:9].reshape(3, 3).T + self.pose[9:]
-        low = np.floor(corners_map.min(axis=0) / edge_m).astype(np.int64)
-        high = np.floor(corners_map.max(axis=0) / edge_m).astype(np.int64)
-        return np.stack(
-            np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)), indexing="ij"), axis=-1
-        ).reshape(-1, 3)
+        low, high = corners_map.min(axis=0), corners_map.max(axis=0)
+        level = max(0, int(np.ceil(np.log2((high - low).max() / (ROOTS_ALONG_AXIS * block_size_m)))))
+        edge_m = block_size_m * (1 << level)
+        axes = [np.arange(np.floor(a / edge_m), np.floor(b / edge_m) + 1) for a, b in zip(low, high, strict=True)]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.int64), level

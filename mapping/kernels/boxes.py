@@ -1,4 +1,4 @@
-"""Dense copies of boxes of voxels out of hashed blocks."""
+"""Boxes of voxels out of hashed blocks: dense copies and extremes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,29 @@ from numpy.typing import NDArray
 from mapping.kernels.hashing import lookup
 
 Array: TypeAlias = NDArray[Any]
+Int: TypeAlias = Any
+
+
+@njit(cache=True)
+def highest_in_cells(table: Array, field: Array, corners: Array, edge: Int, values: Array) -> None:
+    """The highest of the voxels of `field` (capacity, 512) in each cube of voxels; `values` (n,) keeps what it holds
+    where no block exists or nothing is higher.
+
+    corners : (n, 3) int64, lowest voxel of each cube, a multiple of `edge`, its edge in voxels (a power of two)
+    """
+    for n in range(corners.shape[0]):
+        i0, j0, k0 = corners[n, 0], corners[n, 1], corners[n, 2]
+        inner = min(edge, 8)
+        for bi in range(i0 >> 3, (i0 + edge - 1 >> 3) + 1):
+            for bj in range(j0 >> 3, (j0 + edge - 1 >> 3) + 1):
+                for bk in range(k0 >> 3, (k0 + edge - 1 >> 3) + 1):
+                    slot = lookup(table, bi, bj, bk)
+                    if slot < 0:
+                        continue
+                    for i in range(i0 & 7, (i0 & 7) + inner):
+                        for j in range(j0 & 7, (j0 & 7) + inner):
+                            for k in range(k0 & 7, (k0 & 7) + inner):
+                                values[n] = max(values[n], field[slot, i << 6 | j << 3 | k])
 
 
 @njit(cache=True)

@@ -25,8 +25,6 @@ CELL = 8
 LEVELS = 6
 MIXED, FREE = 1, 2
 """Codes of a block: perhaps near a surface; wholly before every surface it covers."""
-ROOT_LEVEL = 3
-"""Roots of the search are cells of 2³ blocks along an edge."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -174,6 +172,7 @@ def list_blocks(
     pyramid: Array,
     camera: Array,
     roots: Array,
+    root_level: Int,
     block_size: Float,
     front: Float,
     back: Float,
@@ -181,14 +180,17 @@ def list_blocks(
     blocks: Array,
     kinds: Array,
 ) -> Int:
-    """List the blocks that the image sees, depth first below each root (r, 3): their index and kind, in place.
+    """List the blocks that the image sees, depth first below each root: their index and kind, in place.
+
+    roots (r, 3) int64 are cells of 2^root_level blocks along an edge.
 
     blocks (n, 3) int32, kinds (n,) uint8. Returns how many there are; beyond n they are counted and not written.
     """
-    stack = np.empty((8 * ROOT_LEVEL + 1, 4), np.int64)
+    stack = np.empty((8 * root_level + 1, 4), np.int64)
     count = 0
     for root in range(roots.shape[0]):
-        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = roots[root, 0], roots[root, 1], roots[root, 2], ROOT_LEVEL
+        stack[0, 0], stack[0, 1], stack[0, 2] = roots[root, 0], roots[root, 1], roots[root, 2]
+        stack[0, 3] = root_level
         top = 1
         while top > 0:
             top -= 1

@@ -87,7 +87,7 @@ def test_no_block_that_an_image_says_something_of_is_left_out():
     pose = looking(0.3, 0.2)
     view = DepthView(Room().depth(pose, SMALL_CAMERA), SMALL_CAMERA, pose, 10.0)
     listed, _ = view.blocks(0.4, front_m=0.05, back_m=0.0, with_free=True)
-    around = np.argwhere(np.ones((16, 16, 16))).astype(np.int32) - 8
+    around = np.ascontiguousarray(np.argwhere(np.ones((16, 16, 16))) - 8, dtype=np.int32)
     marks = np.empty((len(around), 512), np.uint8)
     kernels.mark_free(around, 0.05, view.reach, view.camera, marks)
     assert {tuple(b) for b in around[marks.any(axis=1)].tolist()} <= {tuple(b) for b in listed.tolist()}
@@ -186,6 +186,30 @@ def test_evidence_stays_within_its_clamps_and_can_turn():
     for _ in range(30):
         layer.integrate(far, pose)
     assert layer.query(at)[0] == pytest.approx(0.1192, abs=2e-3)
+
+
+@pytest.mark.parametrize("depth", [15, 14, 13, 12, 9])
+def test_a_coarse_cell_is_as_occupied_as_its_most_occupied_voxel(depth):
+    layer = OccupancyMap(0.1)
+    for pose in TOUR[:3]:
+        layer.integrate(Room().scan(pose, 300), pose)
+    points = np.random.default_rng(0).uniform(-4, 4, (60, 3))
+    edge = 2 ** (16 - depth)
+    first = np.floor(points / 0.1 / edge).astype(int) * edge
+    expected = np.full(len(points), np.nan)
+    evidence = evidence_of(layer)
+    for voxel, value in evidence.items():
+        inside = ((first <= voxel) & (voxel < first + edge)).all(axis=1)
+        expected[inside] = np.fmax(expected[inside], value)
+    probability = 1.0 / (1.0 + np.exp(-layer.log_odds_step * expected))
+    assert np.allclose(layer.query(points, depth=depth), probability, equal_nan=True)
+    assert np.isnan(layer.query([[np.nan, 0, 0], [1e12, 0, 0]], depth=depth)).all()
+
+
+@pytest.mark.parametrize("depth", [7, 17, 14.5])
+def test_a_level_that_is_none_is_refused(depth):
+    with pytest.raises(InvalidParameter, match="depth"):
+        OccupancyMap(0.1).query([[0.0, 0.0, 0.0]], depth=depth)
 
 
 def test_a_box_is_what_its_voxels_are():
