@@ -1,0 +1,309 @@
+"""Awkward cases by name: things as point sets are measured, the rules judge, and the edges are the right ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from mapping.geometry import SE3
+from mapping.occupancy import OccupancyMap
+from mapping.planes import PlaneMap
+from reasoning import KnowledgeBase
+from scenegraph.perception.building import Building
+from scenegraph.perception.relations import Relations
+from scenegraph.perception.shapes import Shape
+from tests.support.furnishing import VOXEL, Plan, box, chair, cup, derived, placed, plate_on_legs, surface, tell, thing
+
+TABLE = plate_on_legs(1.4, 0.8, 0.75)
+ROOM = Plan()
+
+
+@pytest.fixture(scope="module")
+def rules() -> Iterator[KnowledgeBase]:
+    with KnowledgeBase() as knowledge:
+        yield knowledge
+
+
+def pairs(edges: set[tuple[str, str, str]], relation: str) -> set[tuple[str, str]]:
+    return {(a, b) for name, a, b in edges if name == relation}
+
+
+def test_a_cup_on_a_book_on_a_table(rules: KnowledgeBase) -> None:
+    things = {
+        "table_1": thing(*TABLE),
+        "book_1": thing(box((0.25, 0.18, 0.04)), at=(0.3, 0.1, 0.75), yaw=0.4),
+        "cup_1": placed(cup(), (0.3, 0.1, 0.79)),
+    }
+    edges = derived(rules, things, ROOM)
+    assert pairs(edges, "on") == {("cup_1", "book_1"), ("book_1", "table_1"), ("table_1", "plane_1")}
+    assert pairs(edges, "supports") == {("book_1", "cup_1"), ("table_1", "book_1"), ("plane_1", "table_1")}
+    assert not pairs(edges, "above"), "a cup on a book is not above it; the table is not below the cup by a gap"
+
+
+def test_a_chair_half_under_a_table_is_under_it_and_stands_on_the_floor(rules: KnowledgeBase) -> None:
+    table, seat = thing(*TABLE), plate_on_legs(0.44, 0.44, 0.46)
+    edges = derived(rules, {"table_1": table, "chair_1": thing(*seat, at=(0.0, 0.4, 0.0))}, ROOM)
+    assert pairs(edges, "on") == {("table_1", "plane_1"), ("chair_1", "plane_1")}
+    assert pairs(edges, "above") == {("table_1", "chair_1")}
+    assert pairs(edges, "under") == {("chair_1", "table_1")}
+    assert ("chair_1", "table_1") in pairs(edges, "near")
+    assert not pairs(edges, "in")
+
+
+def test_a_cup_on_a_seat_is_on_the_chair_although_the_backrest_is_higher(rules: KnowledgeBase) -> None:
+    edges = derived(rules, {"chair_1": thing(*chair()), "cup_1": placed(cup(), (0.05, 0.0, 0.46))}, ROOM)
+    assert pairs(edges, "on") == {("chair_1", "plane_1"), ("cup_1", "chair_1")}
+
+
+def test_a_monitor_and_a_keyboard_stand_on_the_desk_and_not_on_each_other(rules: KnowledgeBase) -> None:
+    monitor = [box((0.3, 0.2, 0.02)), ((0.0, 0.0, 0.1), (0.05, 0.05, 0.2)), ((0.0, 0.0, 0.37), (0.6, 0.05, 0.36))]
+    things = {
+        "desk_1": thing(*TABLE),
+        "monitor_1": thing(*monitor, at=(0.0, 0.2, 0.75)),
+        "keyboard_1": thing(box((0.44, 0.14, 0.025)), at=(0.0, 0.0, 0.75)),
+    }
+    edges = derived(rules, things, ROOM)
+    assert pairs(edges, "on") == {("desk_1", "plane_1"), ("monitor_1", "desk_1"), ("keyboard_1", "desk_1")}
+    assert ("keyboard_1", "monitor_1") in pairs(edges, "near")
+    assert not pairs(edges, "above")
+
+
+def test_a_spoon_in_a_cup_is_in_it_although_it_sticks_out(rules: KnowledgeBase) -> None:
+    spoon = surface(((0.0, 0.0, 0.085), (0.012, 0.012, 0.15)), step=0.008)
+    things = {
+        "table_1": thing(*TABLE),
+        "cup_1": placed(cup(), (0.2, 0.0, 0.75)),
+        "spoon_1": placed(spoon, (0.2, 0.0, 0.75)),
+    }
+    edges = derived(rules, things, ROOM)
+    assert ("spoon_1", "cup_1") in pairs(edges, "in")
+    assert ("cup_1", "spoon_1") in pairs(edges, "contains")
+    assert ("cup_1", "table_1") in pairs(edges, "on")
+    assert ("spoon_1", "table_1") not in pairs(edges, "on")
+
+
+def test_what_stands_in_a_box_without_a_lid_is_in_it(rules: KnowledgeBase) -> None:
+    """No container by name: its material closes the sides and the bottom."""
+    walls = surface(box((0.5, 0.4, 0.3)), faces=("x", "y"))
+    bottom = surface(((0.0, 0.0, 0.005), (0.5, 0.4, 0.01)), faces=("top",))
+    crate = placed(np.concatenate([walls, bottom]), (0.0, 0.0, 0.0))
+    edges = derived(rules, {"thing_1": crate, "ball_1": thing(box((0.12, 0.12, 0.12)), at=(0.05, 0.02, 0.015))}, ROOM)
+    assert pairs(edges, "in") == {("ball_1", "thing_1")}
+
+
+def test_what_lies_under_a_table_is_not_in_it(rules: KnowledgeBase) -> None:
+    edges = derived(rules, {"table_1": thing(*TABLE), "ball_1": thing(box((0.2, 0.2, 0.2)))}, ROOM)
+    assert not pairs(edges, "in")
+    assert pairs(edges, "under") == {("ball_1", "table_1")}
+
+
+def test_a_bed_above_the_oven_one_storey_up_is_not_above_it(rules: KnowledgeBase) -> None:
+    upstairs = Plan(floors={"plane_1": 0.0, "plane_2": 2.7}, slabs=(2.5, 2.7))
+    things = {"oven_1": thing(box((0.6, 0.6, 0.9))), "bed_1": thing(box((2.0, 1.4, 0.5)), at=(0.2, 0.0, 2.7))}
+    edges = derived(rules, things, upstairs)
+    assert pairs(edges, "above") == set()
+    assert pairs(edges, "near") == set()
+    assert pairs(edges, "on") == {("oven_1", "plane_1"), ("bed_1", "plane_2")}
+    one_room = derived(rules, things, Plan())
+    assert pairs(one_room, "above") == {("bed_1", "oven_1")}, "a lamp at that height in one room would be"
+
+
+def test_a_shelf_board_over_a_sofa_is_above_it(rules: KnowledgeBase) -> None:
+    things = {"sofa_1": thing(box((2.0, 0.9, 0.8))), "board_1": thing(box((1.0, 0.3, 0.04)), at=(0.0, 0.3, 1.4))}
+    edges = derived(rules, things, ROOM)
+    assert pairs(edges, "above") == {("board_1", "sofa_1")}
+    assert ("board_1", "plane_1") not in pairs(edges, "on")
+
+
+def test_near_does_not_reach_through_a_wall(rules: KnowledgeBase) -> None:
+    back_to_back = {
+        "oven_1": thing(box((0.6, 0.6, 0.9)), at=(-0.5, 0.0, 0.0)),
+        "bed_1": thing(box((2.0, 1.4, 0.5)), at=(1.2, 0.0, 0.0)),
+    }
+    assert pairs(derived(rules, back_to_back, ROOM), "near") == {("oven_1", "bed_1"), ("bed_1", "oven_1")}
+    wall = (0.0, -3.0, 0.0, 3.0)
+    assert not pairs(derived(rules, back_to_back, Plan(walls=[wall])), "near")
+    assert rules.ask("near(oven_1, bed_1)").truth == "false"
+    assert pairs(derived(rules, back_to_back, Plan(walls=[wall], doors=[(0.0, 0.0)])), "near"), (
+        "an open door between both"
+    )
+
+
+def test_near_is_unknown_where_a_wall_was_not_seen(rules: KnowledgeBase) -> None:
+    things = {
+        "oven_1": thing(box((0.6, 0.6, 0.9)), at=(-0.5, 0.0, 0.0)),
+        "bed_1": thing(box((2.0, 1.4, 0.5)), at=(1.2, 0.0, 0.0)),
+    }
+    tell(rules, things, Plan(unseen=[(0.0, -3.0, 0.0, 3.0)]))
+    assert rules.ask("near(oven_1, bed_1)").truth == "unknown"
+
+
+def test_touching_things_touch_and_parted_ones_do_not(rules: KnowledgeBase) -> None:
+    for gap, expected in ((0.02, True), (0.06, True), (0.09, False), (0.2, False)):  # 3 cm + one voxel + half of both
+        things = {
+            "shelf_1": thing(box((0.4, 0.4, 1.0))),
+            "shelf_2": thing(box((0.4, 0.4, 1.0)), at=(0.4 + gap, 0.0, 0.0)),
+        }
+        assert bool(pairs(derived(rules, things, ROOM), "touching")) == expected, gap
+
+
+def test_a_thing_of_which_only_the_upper_part_was_seen_is_completed_down_to_what_is_below(rules: KnowledgeBase) -> None:
+    """A bottle on a counter behind a bowl: its lowest 12 cm are hidden."""
+    counter, bottle = thing(box((1.2, 0.6, 0.9))), thing(box((0.08, 0.08, 0.16)), at=(0.0, 0.0, 1.02))
+    hidden = derived(rules, {"counter_1": counter, "bottle_1": bottle}, Plan(seen_free_everywhere=False))
+    assert ("bottle_1", "counter_1") in pairs(hidden, "on")
+    hovering = derived(rules, {"counter_1": counter, "bottle_1": bottle}, Plan(seen_free_everywhere=True))
+    assert ("bottle_1", "counter_1") not in pairs(hovering, "on"), "the space below was seen to be free"
+
+
+def test_a_table_stands_on_the_rug_that_carries_two_of_its_legs(rules: KnowledgeBase) -> None:
+    rug = thing(box((2.0, 1.4, 0.01)), at=(0.9, 0.0, 0.0))
+    edges = derived(rules, {"table_1": thing(*TABLE), "rug_1": rug}, ROOM)
+    assert ("table_1", "rug_1") in pairs(edges, "on")
+    assert ("rug_1", "plane_1") in pairs(edges, "on")
+
+
+def test_what_stands_on_a_table_that_straddles_two_rooms_goes_with_its_own_ground(rules: KnowledgeBase) -> None:
+    things = {
+        "table_1": thing(*TABLE),
+        "cup_1": placed(cup(), (0.3, 0.0, 0.75)),
+        "cup_2": placed(cup(), (0.0, 0.0, 0.75)),
+    }
+    shares = {
+        "table_1": {"room_1": 0.6, "room_2": 0.4},
+        "cup_1": {"room_2": 1.0},
+        "cup_2": {"room_1": 0.5, "room_2": 0.5},
+    }
+    edges = derived(rules, things, ROOM, shares)
+    rooms = {(a, b) for a, b in pairs(edges, "in") if b.startswith("room")}
+    assert rooms == {("table_1", "room_1"), ("cup_1", "room_2"), ("cup_2", "room_1")}
+
+
+# -- keeping up to date ------------------------------------------------------------------------------------------------
+
+
+def facts_of(relations: Relations) -> dict[tuple[str, ...], float]:
+    return relations.facts.put
+
+
+def test_only_what_changed_is_measured_and_the_result_is_the_same_as_measuring_all() -> None:
+    shapes = {
+        "table_1": thing(*TABLE),
+        "cup_1": placed(cup(), (0.3, 0.0, 0.75)),
+        "sofa_1": thing(box((2.0, 0.9, 0.8)), at=(0.0, 1.5, 0.0)),
+        "lamp_1": thing(box((0.2, 0.2, 1.5)), at=(9.0, 0.0, 0.0)),
+    }
+    labels = {name: name[:-2] for name in shapes}
+    bit_by_bit, at_once = Relations(lambda _: False), Relations(lambda _: False)
+    for name in shapes:
+        known = {n: shapes[n] for n in list(shapes)[: list(shapes).index(name) + 1]}
+        bit_by_bit.update(known, labels, {name}, ROOM)
+    moved = shapes | {"table_1": thing(*TABLE, at=(0.3, 0.1, 0.0), yaw=0.3)}
+    bit_by_bit.update(moved, labels, {"table_1"}, ROOM)
+    at_once.update(moved, labels, set(moved), ROOM)
+    assert facts_of(bit_by_bit) == facts_of(at_once)
+    again = bit_by_bit.update(moved, labels, {"table_1"}, ROOM)
+    assert not again.put
+    assert not again.deleted, "nothing new, nothing said"
+
+
+def test_what_is_gone_leaves_no_measurement_behind() -> None:
+    shapes = {"table_1": thing(*TABLE), "cup_1": placed(cup(), (0.3, 0.0, 0.75))}
+    labels = {"table_1": "table", "cup_1": "cup"}
+    relations = Relations(lambda _: False)
+    relations.update(shapes, labels, set(shapes), ROOM)
+    relations.set_shares("table_1", {"room_1": 1.0})
+    change = relations.update({"cup_1": shapes["cup_1"]}, {"cup_1": "cup"}, {"table_1"}, ROOM)
+    assert all("table_1" in key for key in change.deleted)
+    assert not any("table_1" in key for key in facts_of(relations))
+
+
+def test_measurements_come_back_from_their_document() -> None:
+    shapes = {"table_1": thing(*TABLE), "cup_1": placed(cup(), (0.3, 0.0, 0.75))}
+    labels = {"table_1": "table", "cup_1": "cup"}
+    one, two = Relations(lambda _: False), Relations(lambda _: False)
+    one.update(shapes, labels, set(shapes), ROOM)
+    two.restore(one.document(), shapes)
+    assert facts_of(two) == facts_of(one)
+    change = two.update(shapes, labels, set(shapes), ROOM)
+    assert (change.put, change.deleted) == ({}, [])
+
+
+def test_the_distance_of_two_shapes_is_that_of_their_nearest_points() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(12):
+        a, b = (
+            placed(surface(box(tuple(rng.uniform(0.1, 0.8, 3))), step=0.04), rng.uniform(-1, 1, 3), rng.uniform(0, 3))
+            for _ in "ab"
+        )
+        exact = np.linalg.norm(a.points[:, None] - b.points[None], axis=2).min()
+        found, p, q = a.distance_m(b)
+        assert exact <= found + 1e-6
+        assert found <= exact + 0.02
+        assert np.linalg.norm(p - q) == pytest.approx(found, abs=1e-5)
+
+
+def test_the_box_of_a_turned_thing_is_turned() -> None:
+    shape = thing(box((1.2, 0.4, 0.5)), at=(1.0, 2.0, 0.0), yaw=0.5)
+    assert shape.box.size == pytest.approx([1.2, 0.4, 0.5], abs=1e-3)
+    assert shape.box.center == pytest.approx([1.0, 2.0, 0.25], abs=1e-3)
+    assert shape.box.yaw == pytest.approx(0.5, abs=1e-3)
+    assert Shape.trimmed(shape.points[:3], np.ones(3, np.float32), VOXEL) is None
+
+
+# -- the building ------------------------------------------------------------------------------------------------------
+
+
+def sampled_wall(door: tuple[float, float] | None) -> PlaneMap:
+    """A wall at x = 0 that faces −x, 4 m long and 2.4 m high, with a doorway from y to y."""
+    size = 0.05
+    y, z = np.meshgrid(np.arange(-2.0, 2.0, size), np.arange(0.0, 2.4, size))
+    points = np.stack([np.zeros(y.size), y.ravel(), z.ravel()], axis=1) + (-0.001, 0.5 * size, 0.5 * size)
+    if door is not None:
+        points = points[~((points[:, 1] > door[0]) & (points[:, 1] < door[1]) & (points[:, 2] < 2.0))]
+    planes = PlaneMap(size)
+    blocks, of = np.unique(np.floor(points / (8 * size)).astype(np.int32), axis=0, return_inverse=True)
+    order = np.argsort(of.ravel(), kind="stable")
+    planes.replace(blocks, points[order], np.tile([-1.0, 0.0, 0.0], (len(points), 1)), of.ravel()[order])
+    return planes
+
+
+def a_building(door: tuple[float, float] | None) -> Building:
+    planes = sampled_wall(door)
+    occupancy = OccupancyMap(voxel_size_m=0.05, max_range_m=10.0)
+    for x in (-1.0, 1.0):  # all space on both sides was seen to be free
+        angles = np.linspace(0, 2 * np.pi, 720)
+        for z in np.arange(0.1, 1.6, 0.05):
+            ring = np.stack([3 * np.cos(angles), 3 * np.sin(angles), np.zeros_like(angles)], axis=1).astype(np.float32)
+            occupancy.integrate(ring, SE3(np.eye(3), (x, 0.0, z)))
+    building = Building(planes, occupancy)
+    building.update([("wall", planes.plane(i)) for i in planes], ())
+    return building
+
+
+def test_a_wall_stands_between_its_two_sides_and_its_doorway_does_not() -> None:
+    building = a_building(door=(-0.5, 0.5))
+    assert building.between(np.array([-0.4, 1.5, 0.5]), np.array([0.4, 1.5, 0.5])) == "blocked"
+    assert building.between(np.array([-0.4, 0.0, 0.5]), np.array([0.4, 0.0, 0.5])) == "clear"
+    assert building.between(np.array([-0.4, -1.5, 0.5]), np.array([-0.4, 1.5, 0.5])) == "clear"
+    assert building.between(np.array([-0.4, 0.0, 2.2]), np.array([0.4, 0.0, 2.2])) == "blocked", "over the lintel"
+
+
+def test_the_way_around_a_wall_leads_through_its_doorway() -> None:
+    building = a_building(door=(-0.5, 0.5))
+    p, q = np.array([-0.3, 0.9, 0.5]), np.array([0.3, 0.9, 0.5])
+    upper, lower = building.way_around(p, q, 1.5)
+    true = 2.0 * np.hypot(0.3, 0.4)
+    assert lower == pytest.approx(true, rel=0.15)
+    assert lower <= upper
+    assert building.way_around(p, q, 0.7) == (np.inf, np.inf)
+    assert a_building(door=None).way_around(p, q, 1.5)[0] == np.inf
+
+
+def test_a_plane_that_is_no_structure_any_more_blocks_nothing() -> None:
+    building = a_building(door=None)
+    planes = building._planes
+    building.update([("no_feature", planes.plane(i)) for i in planes], ())
+    assert building.between(np.array([-0.4, 1.5, 0.5]), np.array([0.4, 1.5, 0.5])) == "clear"
