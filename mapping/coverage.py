@@ -10,7 +10,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from mapping.kernels import planes as kernels
+from mapping.kernels import rasters as kernels
 
 Array: TypeAlias = NDArray[Any]
 
@@ -22,8 +22,8 @@ _TRIM = 0.05  # rows and columns with less than this share of the fullest one do
 class PlaneFrame:
     """Axes of a raster: `u`, `v`, `normal` (3,), right-handed, and an `origin` (3,) [m] in map.
 
-    Points are projected to it along `normal`. It need not be the plane's own normal exactly, so that it can stay while the plane
-    is refined: `lift` goes back to the plane itself.
+    Points are projected along `normal`. It need not be the plane's own normal exactly, so that it can stay while the
+    plane is refined: `lift` goes back to the plane itself.
     """
 
     origin: Array
@@ -33,7 +33,7 @@ class PlaneFrame:
 
     @staticmethod
     def about(origin: Array, normal: Array) -> PlaneFrame:
-        """The frame for a plane: u, v are map x, ±y when it is nearly level, and level, up when it is nearly upright."""
+        """The frame for a plane: u, v are map x and ±y when it is nearly level, level and up when it is upright."""
         if abs(normal[2]) > _SNAP:
             n = np.array([0.0, 0.0, np.sign(normal[2])])
             u = np.array([1.0, 0.0, 0.0])
@@ -114,7 +114,7 @@ class Coverage:
     # -- what is covered ----------------------------------------------------------------------------------
     def area_m2(self, normal: Array) -> float:
         """Area [m²] of the covered cells on a plane with this normal."""
-        return float(self.n_covered * self.cell_size_m**2 / max(abs(self.frame.normal @ normal), 0.1))
+        return float(self.n_covered * self.cell_size_m**2 / max(abs(float(self.frame.normal @ normal)), 0.1))
 
     def extent(self) -> NDArray[np.float64]:
         """[[u low, u high], [v low, v high]] [m] of what is covered, without stray rows and columns."""
@@ -133,8 +133,8 @@ class Coverage:
         return hit
 
     def parts(self, reach_m: float) -> tuple[int, NDArray[np.int32], int]:
-        """The pieces of what is covered that lie more than `reach_m` to twice that apart: how many, the piece (from 1; 0: none)
-        of each coarse cell, and the edge of a coarse cell in cells (see `part_of`)."""
+        """The parts of what is covered that lie more than `reach_m` (at most twice that) from each other: how many, the
+        part of each coarse cell (from 1; 0: none), and the edge of a coarse cell in cells; see `part_of`."""
         stride = max(1, round(reach_m / self.cell_size_m))
         u, v = (-(-n // stride) * stride for n in self._counts.shape)
         mask = np.zeros((u, v), dtype=bool)
@@ -144,7 +144,7 @@ class Coverage:
         return int(n), labels.astype(np.int32), stride
 
     def part_of(self, points: Array, labels: NDArray[np.int32], stride: int) -> NDArray[np.int32]:
-        """The piece (N,) that each covered sample (N, 3) [m] belongs to, from `parts`."""
+        """The part (N,) that each covered sample (N, 3) [m] belongs to, from `parts`."""
         cell = (self._cells(points) - self._low) // stride
         return np.asarray(labels[cell[:, 0], cell[:, 1]])
 

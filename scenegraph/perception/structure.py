@@ -1,49 +1,35 @@
 """Planes → structure: which planes are walls, floors, ceilings and door leaves, and the nodes that say so.
 
-Relations between planes are measured here; what they mean is a rule (`rules/structure.pl`). Only planes that changed
-noticeably are measured anew, and only they and their neighbours are labelled anew, the planes about them serving as settled context.
+Only planes that changed noticeably are measured anew, and only they and their neighbours are labelled anew, with the
+planes about them as settled context.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Final, TypeAlias
+from dataclasses import replace
+from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 from mapping.geometry import SE3
-from mapping.planes import Plane, PlaneChange, PlaneMap
+from mapping.planes import Plane, PlaneChange, PlaneMap, PlaneSummary
 from reasoning.knowledge import KnowledgeBase
 from reasoning.terms import Atom, Compound, Term, Var
-from scenegraph.graph import Box, GraphChanges, Node
+from scenegraph.graph import Box, GraphChanges, Node, SceneGraph
+from scenegraph.perception.plane_relations import (
+    FRONT_M,
+    TALLEST_ROOM_M,
+    MeasuredPlane,
+    PlaneFacts,
+    Relation,
+    measured,
+    relations_between,
+)
 
 Array: TypeAlias = NDArray[Any]
-Relation: TypeAlias = tuple[str, int, int]
-
-NO_FEATURE: Final = "no_feature"
-
-
-@dataclass(frozen=True)
-class PlaneFacts:
-    """What the rules know of one plane; lengths in metres.
-
-    facing   : up | down | side | oblique
-    evidence : class → share of the plane's surface that carries it
-    given    : the label of a plane that only serves as context, else None
-    """
-
-    id: int
-    facing: str
-    z_min: float
-    z_max: float
-    width_m: float
-    area_m2: float
-    evidence: Mapping[str, float] = field(default_factory=dict)
-    given: str | None = None
-
 
 Labeller: TypeAlias = Callable[[Sequence[PlaneFacts], Sequence[Relation]], Mapping[int, str]]
 """Planes and relations (name, id, id) → a label for every plane."""
@@ -82,109 +68,6 @@ def _plane_term(plane: PlaneFacts) -> Compound:
     return Compound("plane", (plane.id, Atom(plane.facing), *map(float, measures), evidence))
 
 
-# -- measuring ---------------------------------------------------------------------------------------------------
-
-_LEVEL = float(np.cos(np.deg2rad(18.0)))  # a normal this close to the vertical: level
-_UPRIGHT = float(np.sin(np.deg2rad(18.0)))
-_PARALLEL = float(np.cos(np.deg2rad(6.0)))  # well-seen planes are known to a degree or two
-_ORTHOGONAL = float(np.sin(np.deg2rad(6.0)))
-_EQUAL_M = 0.1  # heights this close are equal
-_STOREY_M = 2.3  # floors (ceilings) further apart than this belong to different storeys
-_BESIDE_M = 0.4  # a wall stands this close to the border of its floor and ceiling
-_FRONT_M = 1.0  # furniture stands this close to the wall behind it
-_TALLEST_ROOM_M = 6.0
-
-
-def facing(normal: Array) -> str:
-    """Where a plane faces: up, down, side or oblique."""
-    z = float(normal[2])
-    if abs(z) >= _LEVEL:
-        return "up" if z > 0.0 else "down"
-    return "side" if abs(z) <= _UPRIGHT else "oblique"
-
-
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """A plane as it was when it was last measured."""
-
-    facts: PlaneFacts
-    normal: Array
-    offset: float
-    low: Array
-    high: Array
-    points: Array
-
-    @property
-    def height(self) -> float:
-        return 0.5 * (self.facts.z_min + self.facts.z_max)
-
-
-def relations_between(a: _Seen, b: _Seen, planes: PlaneMap) -> list[Relation]:
-    """What the rules may know of two planes: parallel, orthogonal, equalheight, above (the first over the second).
-
-    Level planes relate when one covers ground beside the other's, within a storey; a level and an upright plane when
-    the upright one stands within `_BESIDE_M` of it; upright planes when they touch or one stands before the other.
-    """
-    upright = (a.facts.facing == "side") + (b.facts.facing == "side")
-    if "oblique" in (a.facts.facing, b.facts.facing):
-        return []
-    if upright == 0:
-        return _level_relations(a, b, planes)
-    if upright == 2:
-        return _upright_relations(a, b, planes)
-    return _standing_relations(a, b, planes) if b.facts.facing == "side" else _standing_relations(b, a, planes)
-
-
-def _level_relations(a: _Seen, b: _Seen, planes: PlaneMap) -> list[Relation]:
-    small, large = (a, b) if a.facts.area_m2 < b.facts.area_m2 else (b, a)
-    reach = _BESIDE_M
-    if not planes.near(large.facts.id, small.points, reach, _TALLEST_ROOM_M).any():
-        return []
-    pair = (a.facts.id, b.facts.id)
-    found: list[Relation] = [("parallel", *pair)]
-    rise = a.height - b.height
-    upper, lower = (a, b) if rise > 0.0 else (b, a)
-    alike = a.facts.facing == b.facts.facing
-    if abs(rise) <= _EQUAL_M:
-        return [*found, ("equalheight", *pair)] if alike else []
-    if (alike and abs(rise) < _STOREY_M) or (upper.facts.facing == "down" and lower.facts.facing == "up"):
-        return [*found, ("above", upper.facts.id, lower.facts.id)]
-    return []
-
-
-def _standing_relations(level: _Seen, upright: _Seen, planes: PlaneMap) -> list[Relation]:
-    near = planes.near(level.facts.id, upright.points + 0.1 * upright.normal, _BESIDE_M, _TALLEST_ROOM_M)
-    if np.count_nonzero(near) < 0.3 * len(near):
-        return []
-    found: list[Relation] = [("orthogonal", level.facts.id, upright.facts.id)]
-    middle = 0.5 * (upright.facts.z_min + upright.facts.z_max)
-    if level.facts.facing == "down" and level.height > middle:
-        found.append(("above", level.facts.id, upright.facts.id))
-    elif level.facts.facing == "up" and level.height < middle:
-        found.append(("above", upright.facts.id, level.facts.id))
-    else:
-        return []
-    return found
-
-
-def _upright_relations(a: _Seen, b: _Seen, planes: PlaneMap) -> list[Relation]:
-    small, large = (a, b) if a.facts.area_m2 < b.facts.area_m2 else (b, a)
-    pair = (a.facts.id, b.facts.id)
-    cosine = abs(float(a.normal @ b.normal))
-    if cosine >= _PARALLEL:
-        before = planes.near(large.facts.id, small.points, _BESIDE_M, _FRONT_M).any()
-        return [("parallel", *pair)] if before else []
-    if not planes.near(large.facts.id, small.points, _BESIDE_M, _BESIDE_M).any():
-        return []
-    found: list[Relation] = [("orthogonal", *pair)] if cosine <= _ORTHOGONAL else []
-    if found and abs(a.facts.z_max - b.facts.z_max) <= _EQUAL_M:
-        found.append(("equalheight", *pair))
-    return found
-
-
-# -- keeping up to date --------------------------------------------------------------------------------------------
-
-
 _HUB = 24
 """A neighbour with more relations than this (the floor of a storey) is labelled anew only when it changes itself."""
 _LOOK_EVERY = 4
@@ -201,11 +84,13 @@ class Structure:
     def __init__(self, *, noticeable: float = 0.1, refresh_ns: int = 5_000_000_000) -> None:
         self.noticeable = noticeable
         self.refresh_ns = refresh_ns
-        self._seen: dict[int, _Seen] = {}
+        self._seen: dict[int, MeasuredPlane] = {}
         self._label: dict[int, str] = {}
         self._node: dict[int, Node] = {}
         self._between: dict[int, dict[int, list[Relation]]] = {}
         self._unsettled: set[int] = set()
+        self.fresh: list[tuple[str, Plane]] = []
+        """(label, plane) of the planes that the last update measured or labelled anew."""
         self._passed: dict[int, int] = {}
 
     @property
@@ -222,6 +107,7 @@ class Structure:
     ) -> GraphChanges:
         """Measure and label what changed; returns the changes of the structure nodes `plane_<id>`."""
         changes = GraphChanges()
+        self.fresh = []
         active = {i for i in self._unsettled if i in self._seen}
         for plane_id in change.deleted:
             active |= self._forget(plane_id, change.merged.get(plane_id), changes)
@@ -240,6 +126,22 @@ class Structure:
                 self._node[plane_id] = node = node.replace(last_seen_ns=stamp_ns)
                 changes.put(node)
         return changes
+
+    # -- state --------------------------------------------------------------------------------------------
+    def document(self) -> list[list[Any]]:
+        """[plane id, label, {class: share}] of all planes, as JSON values."""
+        return [[i, self._label[i], dict(seen.facts.evidence)] for i, seen in sorted(self._seen.items())]
+
+    def restore(self, document: Iterable[Sequence[Any]], planes: PlaneMap, graph: SceneGraph) -> None:
+        """Take over what `document` gave; `planes` and `graph` have been restored before, shapes are measured anew."""
+        known = {int(i): (str(label), evidence) for i, label, evidence in document}
+        summary = planes.summary(known)
+        for k, (plane_id, (label, evidence)) in enumerate(known.items()):
+            self._keep(replace(measured(summary, k), evidence=dict(evidence)), summary, k, planes)
+            self._label[plane_id] = label
+            self._node[plane_id] = graph.node(f"plane_{plane_id}")
+        for plane_id in known:
+            self._relate(plane_id, planes)
 
     # -- steps --------------------------------------------------------------------------------------------
     def _forget(self, plane_id: int, became: int | None, changes: GraphChanges) -> set[int]:
@@ -260,15 +162,7 @@ class Structure:
         noticed = []
         summary = planes.summary(ids)
         for k, plane_id in enumerate(summary.ids.tolist()):
-            low, high = summary.low[k], summary.high[k]
-            facts = PlaneFacts(
-                id=plane_id,
-                facing=facing(summary.normal[k]),
-                z_min=float(low[2]),
-                z_max=float(high[2]),
-                width_m=float(summary.width_m[k]),
-                area_m2=float(summary.area_m2[k]),
-            )
+            facts = measured(summary, k)
             old = self._seen.get(plane_id)
             moved = old is None or self._moved(old.facts, facts)
             self._passed[plane_id] = self._passed.get(plane_id, 0) + 1
@@ -278,19 +172,20 @@ class Structure:
             facts = replace(facts, evidence=dict(evidence(planes.samples(plane_id, 300))))
             if old is not None and not moved and not self._reclassified(old.facts, facts):
                 continue
-            points = planes.spread(plane_id, 100)
-            self._seen[plane_id] = _Seen(facts, summary.normal[k], float(summary.offset[k]), low, high, points)
+            self._keep(facts, summary, k, planes)
             noticed.append(plane_id)
         return noticed
+
+    def _keep(self, facts: PlaneFacts, summary: PlaneSummary, k: int, planes: PlaneMap) -> None:
+        points = planes.spread(facts.id, 100)
+        self._seen[facts.id] = MeasuredPlane(facts, summary.normal[k], summary.low[k], summary.high[k], points)
 
     def _moved(self, old: PlaneFacts, new: PlaneFacts) -> bool:
         share = self.noticeable
         if old.facing != new.facing or abs(new.area_m2 - old.area_m2) > share * old.area_m2:
             return True
         length = max(0.05, share * max(old.width_m, old.z_max - old.z_min))
-        return (
-            max(abs(new.z_min - old.z_min), abs(new.z_max - old.z_max), abs(new.width_m - old.width_m)) > length
-        )
+        return max(abs(new.z_min - old.z_min), abs(new.z_max - old.z_max), abs(new.width_m - old.width_m)) > length
 
     def _reclassified(self, old: PlaneFacts, new: PlaneFacts) -> bool:
         classes = old.evidence.keys() | new.evidence.keys()
@@ -311,12 +206,12 @@ class Structure:
                 mine[other] = found
                 self._between.setdefault(other, {})[plane_id] = found
 
-    def _about(self, a: _Seen) -> list[int]:
+    def _about(self, a: MeasuredPlane) -> list[int]:
         """Ids of the planes whose boxes come within reach of a plane's."""
         ids = list(self._seen)
         low = np.array([self._seen[i].low for i in ids])
         high = np.array([self._seen[i].high for i in ids])
-        reach = np.array([_FRONT_M, _FRONT_M, _TALLEST_ROOM_M])
+        reach = np.array([FRONT_M, FRONT_M, TALLEST_ROOM_M])
         near = ((low <= a.high + reach) & (high >= a.low - reach)).all(axis=1)
         return [ids[k] for k in np.flatnonzero(near)]
 
@@ -324,11 +219,12 @@ class Structure:
         """Label the active planes and their neighbours anew; returns those whose label changed or is new."""
         free = set(active)
         for plane_id in active:
-            free.update(o for o in self._between.get(plane_id, {}) if len(self._between[o]) <= _HUB or o not in self._label)
+            free.update(
+                o for o in self._between.get(plane_id, {}) if len(self._between[o]) <= _HUB or o not in self._label
+            )
         context = {o for i in free for o in self._between.get(i, {})} - free
         facts = [self._seen[i].facts for i in sorted(free)]
-        for i in sorted(context):
-            facts.append(replace(self._seen[i].facts, evidence={}, given=self._label[i]))
+        facts += [replace(self._seen[i].facts, evidence={}, given=self._label[i]) for i in sorted(context)]
         relations = [
             relation
             for i in sorted(free)
@@ -365,11 +261,12 @@ class Structure:
             },
         )
         self._node[plane.id] = node
+        self.fresh.append((node.label, plane))
         changes.put(node)
 
 
 def plane_box(plane: Plane) -> Box:
-    """The box about a plane: z up, x along the plane's horizontal, turned about z so that it is smallest for level planes."""
+    """The box about a plane, z up: x runs along an upright plane; that of a level plane is turned to be smallest."""
     size = plane.box_size
     u, n = plane.box_axes[:, 0], plane.box_axes[:, 2]
     if abs(n[2]) < 0.5:
