@@ -13,6 +13,7 @@ from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linear_sum_assignment
 
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import BlockStore
@@ -35,6 +36,8 @@ COVERED_PIXELS = 15
 MERGE_VIEWS = 2
 MERGE_VIEWS_OTHER_CLASS = 3
 """… in so many views, net of views in which both had masks of their own, makes the two one."""
+MEAN_MEMORY = 8.0
+"""Votes (about: full views) over which a voxel's mean point is taken."""
 LEAST_WEIGHT = 0.15
 LEAST_SHARE = 0.5
 """A voxel belongs to an instance that holds this many votes (about: full views) and this share of all its votes."""
@@ -101,21 +104,21 @@ class InstanceMap(MapLayer):
                 self._witness(instance_id, int(seen.label[piece]), int(seen.pixels[piece]), stamp_ns)
 
         choices = np.concatenate([[0], ids]).astype(np.uint32)[seen.pieces]
-        blocks = kernels.touched_blocks(depth_m, choices != 0, camera, pose, self.voxel_size_m, 1)
+        blocks = kernels.touched_blocks(depth_m, choices != 0, camera, pose, self.voxel_size_m, 2)
         slots = self.store.allocate(blocks)
         background = (seen.labels != 0) & (seen.pieces == 0)
         choices[background] = BACKGROUND
         table, fields = self.store.table, self.store.fields
         trust = np.ascontiguousarray(seen.trust, dtype=np.float32)
-        kernels.place_image(table, fields["total"], fields["mean"], depth_m, choices, trust, camera, pose, self.voxel_size_m, 8.0)
         kernels.vote_image(
-            table, *(fields[n] for n in ("instance", "weight", "second", "second_weight", "total")), depth_m, choices, trust,
-            camera, pose, self.voxel_size_m, self.memory,
+            table, *(fields[n] for n in ("instance", "weight", "second", "second_weight", "total", "mean")), depth_m, choices,
+            trust, camera, pose, self.voxel_size_m, self.memory, MEAN_MEMORY,
         )
         pairs = kernels.blocks_of_choices(table, depth_m, choices, camera, pose, self.voxel_size_m, 1)
         touched = self._claim(pairs)
         self._note(slots)
-        return InstanceChange(frozenset(touched), self._merge(together))
+        merged = self._merge(together)
+        return InstanceChange(frozenset(touched.union(merged.values())), merged)
 
     # -- association --------------------------------------------------------------------------------------
     def _associate(self, seen: Segmentation, depth_m: Array, camera: Array, pose: Array) -> tuple[Array, list[tuple[int, int]]]:
@@ -136,11 +139,13 @@ class InstanceMap(MapLayer):
         fits = share >= np.where(same, SAME_SHARE, OTHER_CLASS_SHARE)
 
         ids = np.zeros(len(seen), np.int64)
-        taken: set[int] = set()
-        for at in np.lexsort((known, piece, -(hits * np.where(same, 1.5, 1.0)))):
-            if fits[at] and not ids[piece[at]] and int(known[at]) not in taken:
-                ids[piece[at]] = known[at]
-                taken.add(int(known[at]))
+        candidates, column = np.unique(known, return_inverse=True)
+        gain = np.zeros((len(seen), len(candidates)))
+        gain[piece[fits], column[fits]] = hits[fits] * np.where(same[fits], 1.5, 1.0)
+        rows, columns = linear_sum_assignment(gain, maximize=True)  # all masks of an image are different things
+        chosen = gain[rows, columns] > 0
+        ids[rows[chosen]] = candidates[columns[chosen]]
+        taken = set(ids[ids > 0].tolist())
         for p in np.flatnonzero(ids == 0):
             if seen.pixels[p] >= FOUNDING_PIXELS:
                 ids[p] = self._next_id

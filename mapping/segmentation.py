@@ -67,10 +67,8 @@ def segment(image: RgbdImage, depth_m: Array, things: Array) -> Segmentation:
     distance = np.empty(depth_m.shape, np.uint8)
     kernels.mask_depths(keys, distance)
     thing = (instances != 0) | things[labels]
-    names, mask = np.unique(np.where(thing, keys, 0), return_inverse=True)
-    mask = mask.reshape(depth_m.shape).astype(np.int32)
-    if names[0] != 0:  # every pixel lies on a thing
-        names, mask = np.concatenate([[0], names]), mask + 1
+    mask = np.empty(depth_m.shape, np.int32)
+    names = kernels.number_masks(np.where(thing, keys, 0), mask)
     deepest = np.zeros(len(names), np.uint8)
     kernels.measure_masks(mask, distance, deepest)
     core_px = np.minimum(BLEED_PX, (CORE_SHARE * deepest).astype(np.uint8))

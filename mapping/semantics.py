@@ -19,6 +19,8 @@ from mapping.layer import Changed, MapLayer, require
 
 Array: TypeAlias = NDArray[Any]
 
+_NO_MEAN = np.empty((0, 0, 3), np.float32)
+
 
 def camera_row(intrinsics: CameraIntrinsics) -> Array:
     """(4,) fx, fy, cx, cy as kernels take them."""
@@ -65,12 +67,12 @@ class SemanticMap(MapLayer):
         """Votes of pixels: depth (H, W) float32 [m], class ids (H, W) uint16 with 0 = no vote, trust (H, W) in 0 … 1."""
         camera, pose = camera_row(intrinsics), pose_rows(T_map_camera)
         voting = (labels != 0) & (depth_m > 0)
-        blocks = kernels.touched_blocks(depth_m, voting, camera, pose, self.voxel_size_m, 1)
+        blocks = kernels.touched_blocks(depth_m, voting, camera, pose, self.voxel_size_m, 2)
         slots = self.store.allocate(blocks)
         choices = np.where(voting, labels, 0).astype(np.uint16)
         kernels.vote_image(
-            self.store.table, *self._votes(), depth_m, choices, np.ascontiguousarray(trust, dtype=np.float32), camera, pose,
-            self.voxel_size_m, self.memory,
+            self.store.table, *self._votes(), _NO_MEAN, depth_m, choices, np.ascontiguousarray(trust, dtype=np.float32),
+            camera, pose, self.voxel_size_m, self.memory, 0.0,
         )
         return self._note(slots)
 

@@ -99,3 +99,76 @@ def closed_sides(points: Array, material: Array, beside: float) -> Array:
                 met[4] = True
         closed[n] = met.sum()
     return closed
+
+
+@njit(cache=True)
+def inner_part(points: Array, weights: Array, share: float, directions: int, bin_m: float) -> Array:
+    """(N,) bool: points that in no horizontal direction belong to the outermost `share` of the weight.
+
+    points (N, 3) [m], weights (N,); looked at along `directions` axes, each from both ends, in bins of bin_m [m].
+    """
+    n = len(points)
+    kept = np.ones(n, dtype=np.bool_)
+    total = weights.sum()
+    along = np.empty(n, dtype=np.int64)
+    for d in range(directions):
+        angle = np.pi * d / directions
+        c, s = np.cos(angle) / bin_m, np.sin(angle) / bin_m
+        low = high = np.int64(np.floor(c * points[0, 0] + s * points[0, 1]))
+        for p in range(n):
+            along[p] = np.int64(np.floor(c * points[p, 0] + s * points[p, 1]))
+            low, high = min(low, along[p]), max(high, along[p])
+        mass = np.zeros(high - low + 1)
+        for p in range(n):
+            mass[along[p] - low] += weights[p]
+        first, last = low, high
+        sum_low = mass[0]
+        while sum_low < share * total:
+            first += 1
+            sum_low += mass[first - low]
+        sum_high = mass[high - low]
+        while sum_high < share * total:
+            last -= 1
+            sum_high += mass[last - low]
+        for p in range(n):
+            if along[p] < first or along[p] > last:
+                kept[p] = False
+    return kept
+
+
+@njit(cache=True)
+def largest_cluster(points: Array, weights: Array, cell: float) -> Array:
+    """(N,) bool: the points of the heaviest connected cluster; cells of side `cell` [m] connect to their 26 neighbours."""
+    n = len(points)
+    keys = np.empty(n, dtype=np.int64)
+    for p in range(n):
+        i = np.int64(np.floor(points[p, 0] / cell)) + (1 << 20)
+        j = np.int64(np.floor(points[p, 1] / cell)) + (1 << 20)
+        k = np.int64(np.floor(points[p, 2] / cell)) + (1 << 20)
+        keys[p] = i << 42 | j << 21 | k
+    cells = np.unique(keys)
+    at = np.searchsorted(cells, keys)
+    parent = np.arange(len(cells))
+    for c in range(len(cells)):
+        for step in range(14, 27):  # half of the neighbours: the relation is symmetric
+            other = cells[c] + (np.int64(step // 9 - 1) << 42) + (np.int64(step // 3 % 3 - 1) << 21) + step % 3 - 1
+            d = np.searchsorted(cells, other)
+            if d == len(cells) or cells[d] != other:
+                continue
+            a, b = c, d
+            while parent[a] != a:
+                parent[a] = parent[parent[a]]
+                a = parent[a]
+            while parent[b] != b:
+                parent[b] = parent[parent[b]]
+                b = parent[b]
+            parent[max(a, b)] = min(a, b)
+    mass = np.zeros(len(cells))
+    root = np.empty(n, dtype=np.int64)
+    for p in range(n):
+        a = at[p]
+        while parent[a] != a:
+            a = parent[a]
+        root[p] = a
+        mass[a] += weights[p]
+    return root == mass.argmax()

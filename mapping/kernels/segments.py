@@ -105,6 +105,50 @@ def connect(keys: Array, depth: Array, step_m: float, step_share: float, pieces:
 
 
 @njit(cache=True)
+def number_masks(keys: Array, mask: Array) -> Array:
+    """Number the masks in order of appearance, in place; returns their keys (n,), the first being 0, no mask.
+
+    keys (H, W) int64, 0 = none; mask (H, W) int32
+    """
+    height, width = keys.shape
+    size = 1024
+    table = np.zeros((size, 2), dtype=np.int64)  # key, number
+    names = np.zeros(size, dtype=np.int64)
+    n = 1
+    last_key, last = np.int64(0), np.int32(0)
+    for v in range(height):
+        for u in range(width):
+            key = keys[v, u]
+            if key == last_key:
+                mask[v, u] = last
+                continue
+            row = (key * 0x9E3779B1 >> 7) & (size - 1)
+            while table[row, 0] != key and table[row, 0] != 0:
+                row = (row + 1) & (size - 1)
+            if table[row, 0] == 0 and key != 0:
+                if 2 * n >= size:
+                    size *= 2
+                    table = np.zeros((size, 2), dtype=np.int64)
+                    longer = np.zeros(size, dtype=np.int64)
+                    longer[:n] = names[:n]
+                    names = longer
+                    for m in range(1, n):
+                        row = (names[m] * 0x9E3779B1 >> 7) & (size - 1)
+                        while table[row, 0] != 0:
+                            row = (row + 1) & (size - 1)
+                        table[row, 0], table[row, 1] = names[m], m
+                    row = (key * 0x9E3779B1 >> 7) & (size - 1)
+                    while table[row, 0] != 0:
+                        row = (row + 1) & (size - 1)
+                table[row, 0], table[row, 1] = key, n
+                names[n] = key
+                n += 1
+            last_key, last = key, np.int32(0 if key == 0 else table[row, 1])
+            mask[v, u] = last
+    return names[:n].copy()
+
+
+@njit(cache=True)
 def measure_masks(mask: Array, distance: Array, deepest: Array) -> None:
     """The largest distance from the boundary that each mask reaches, in place. mask (H, W) int32: 0 … n − 1 for deepest (n,)."""
     height, width = mask.shape

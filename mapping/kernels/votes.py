@@ -16,6 +16,9 @@ from mapping.kernels.hashing import find_or_insert, lookup
 
 Array = NDArray[Any]
 
+DENSE_PIXELS = 0.25
+"""Surfaces nearer than this share of the distance at which a pixel is as wide as a voxel are seen densely enough."""
+
 
 @njit(cache=True)
 def touched_blocks(depth: Array, wanted: Array, camera: Array, pose: Array, voxel: float, step: int) -> Array:
@@ -102,16 +105,23 @@ def vote_points(
 
 @njit(cache=True)
 def vote_image(
-    table: Array, first: Array, first_weight: Array, second: Array, second_weight: Array, total: Array,
-    depth: Array, choices: Array, weights: Array, camera: Array, pose: Array, voxel: float, limit: float,
+    table: Array, first: Array, first_weight: Array, second: Array, second_weight: Array, total: Array, mean: Array,
+    depth: Array, choices: Array, weights: Array, camera: Array, pose: Array, voxel: float, limit: float, mean_limit: float,
 ) -> None:
     """Votes of the pixels of an image, in place.
 
     first, second (n, 512) choices and first_weight, second_weight, total (n, 512) float32: the voxels
-    depth (H, W) float32 [m]; choices (H, W) with 0 = no vote; weights (H, W) float32: trust in each pixel, 0 … 1
-    camera (4,) fx, fy, cx, cy; pose (3, 4) camera in map; limit: total at which a voxel's votes are halved
+    mean    (n, 512, 3) float32: offset of the mean point from the voxel's centre, in voxels; size 0 to do without
+    depth   (H, W) float32 [m]; choices (H, W) with 0 = no vote; weights (H, W) float32: trust in each pixel, 0 … 1
+    camera  (4,) fx, fy, cx, cy; pose (3, 4) camera in map
+    limit   total at which a voxel's votes are halved; mean_limit: votes that the mean remembers
+
+    Where pixels are far denser than voxels every other row and column is enough.
     """
     height, width = depth.shape
+    focal = camera[0] * camera[1]
+    dense = DENSE_PIXELS * voxel * np.sqrt(focal)
+    with_mean = mean.shape[0] > 0
     last_i = last_j = last_k = 1 << 30
     s = -1
     for v in range(height):
@@ -120,44 +130,11 @@ def vote_image(
             if choice == 0:
                 continue
             z = depth[v, u]
-            w = weights[v, u] * z * z / (camera[0] * camera[1] * voxel * voxel)
-            if not w > 0.0:
-                continue
-            x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
-            i = int(np.floor((pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) / voxel))
-            j = int(np.floor((pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) / voxel))
-            k = int(np.floor((pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]) / voxel))
-            bi, bj, bk = i >> 3, j >> 3, k >> 3
-            if bi != last_i or bj != last_j or bk != last_k:
-                last_i, last_j, last_k = bi, bj, bk
-                s = lookup(table, bi, bj, bk)
-            if s < 0:
-                continue
-            l = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
-            _vote(first, first_weight, second, second_weight, s, l, choice, w)
-            total[s, l] += w
-            if total[s, l] > limit:
-                total[s, l] *= 0.5
-                first_weight[s, l] *= 0.5
-                second_weight[s, l] *= 0.5
-
-
-@njit(cache=True)
-def place_image(
-    table: Array, total: Array, mean: Array, depth: Array, choices: Array, weights: Array, camera: Array, pose: Array,
-    voxel: float, limit: float,
-) -> None:
-    """Draw each voxel's mean point towards the pixels' points, in place; called before `vote_image` with the same votes.
-
-    mean (n, 512, 3) float32: offset of the mean point from the voxel's centre, in voxels; total (n, 512): weight so far
-    """
-    height, width = depth.shape
-    for v in range(height):
-        for u in range(width):
-            if choices[v, u] == 0:
-                continue
-            z = depth[v, u]
-            w = weights[v, u] * z * z / (camera[0] * camera[1] * voxel * voxel)
+            w = weights[v, u] * z * z / (focal * voxel * voxel)
+            if z < dense:
+                if (u | v) & 1:
+                    continue
+                w *= 4.0
             if not w > 0.0:
                 continue
             x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
@@ -165,14 +142,24 @@ def place_image(
             py = (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) / voxel
             pz = (pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]) / voxel
             i, j, k = int(np.floor(px)), int(np.floor(py)), int(np.floor(pz))
-            s = lookup(table, i >> 3, j >> 3, k >> 3)
+            bi, bj, bk = i >> 3, j >> 3, k >> 3
+            if bi != last_i or bj != last_j or bk != last_k:
+                last_i, last_j, last_k = bi, bj, bk
+                s = lookup(table, bi, bj, bk)
             if s < 0:
                 continue
             l = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
-            gain = w / (min(total[s, l], limit) + w)
-            mean[s, l, 0] += gain * (px - i - 0.5 - mean[s, l, 0])
-            mean[s, l, 1] += gain * (py - j - 0.5 - mean[s, l, 1])
-            mean[s, l, 2] += gain * (pz - k - 0.5 - mean[s, l, 2])
+            if with_mean:
+                gain = w / (min(total[s, l], mean_limit) + w)
+                mean[s, l, 0] += gain * (px - i - 0.5 - mean[s, l, 0])
+                mean[s, l, 1] += gain * (py - j - 0.5 - mean[s, l, 1])
+                mean[s, l, 2] += gain * (pz - k - 0.5 - mean[s, l, 2])
+            _vote(first, first_weight, second, second_weight, s, l, choice, w)
+            total[s, l] += w
+            if total[s, l] > limit:
+                total[s, l] *= 0.5
+                first_weight[s, l] *= 0.5
+                second_weight[s, l] *= 0.5
 
 
 @njit(cache=True)

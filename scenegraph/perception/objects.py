@@ -16,7 +16,7 @@ from scenegraph.perception.shapes import Shape
 Array: TypeAlias = NDArray[Any]
 
 LEAST_VIEWS = 3
-LEAST_VOXELS = 12
+LEAST_VOXELS = 6
 """An instance becomes a node when it was seen in this many images and holds this many voxels."""
 MOVED_M = 0.01
 RESIZED_M = 0.02

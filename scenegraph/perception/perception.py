@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from mapping.layered import LayeredMap, MapChange
 from mapping.observations import AgentPose
-from mapping.planes import Plane
 from scenegraph.errors import InvalidStatement
 from scenegraph.facts import class_atom
 from scenegraph.graph import Box, GraphChanges, Node, SceneGraph
@@ -49,7 +48,7 @@ class Perception:
         changes.extend(
             self.structure.update(self._map.planes, seen.planes, self._evidence, self._meaning.label_planes, stamp_ns)
         )
-        labelled = self._labelled_planes(changes)
+        labelled = self.structure.fresh
         self.building.update(labelled, seen.planes.deleted)
         self.rooms.forget_walls(seen.planes.deleted)
 
@@ -153,11 +152,6 @@ class Perception:
         labels, _ = self._map.semantics.query(points)
         ids, counts = np.unique(labels[labels > 0], return_counts=True)
         return {class_atom(self._labels.name(int(i))): n / len(points) for i, n in zip(ids, counts.tolist(), strict=True)}
-
-    def _labelled_planes(self, changes: GraphChanges) -> list[tuple[str, Plane]]:
-        put = {s.id: s.label for s in changes.steps if isinstance(s, Node) and s.id.startswith("plane_")}
-        ids = {int(node.removeprefix("plane_")): label for node, label in put.items()}
-        return [(label, self._map.planes.plane(i)) for i, label in ids.items() if i in self._map.planes]
 
     def _room_shares(self, reshaped: set[str], moved_rooms: set[str]) -> MeasurementChange:
         """In which rooms the footprints of things lie, for things and rooms that changed."""

@@ -15,8 +15,14 @@ from scenegraph.graph import Box
 Array: TypeAlias = NDArray[Any]
 
 COARSE_CELL_M = 0.06
+CLUSTER_CELL_M = 0.06
+"""Parts of a thing are no farther apart than about two of these; what lies farther is another thing's, mistaken for it."""
 EXTREME_SHARE = 0.01
-"""Share of the points that may stick out of a box at either end: outliers of depth and pose."""
+"""Share of the votes that may stick out of a box at the bottom; half of it at the top: outliers of depth and pose."""
+SIDE_SHARE = 0.007
+SIDE_DIRECTIONS = 8
+"""Share of the votes that may stick out at either end of as many horizontal axes: masks bleed and poses err sideways.
+Chosen so that boxes of simulated things are neither too long nor too short in the median."""
 FOOTING_HEIGHT_M = 0.03
 """Columns whose lowest material lies within this of the lowest point carry the thing (`contact_gap` in the rules)."""
 HEADROOM_M = 0.10
@@ -32,14 +38,18 @@ class Shape:
 
     @staticmethod
     def trimmed(points: NDArray[np.float32], weights: NDArray[np.float32], voxel_size_m: float) -> Shape | None:
-        """The shape without the outermost EXTREME_SHARE of the votes in height; None when too few points remain."""
+        """The shape without what few votes say sticks out of it; None when there are too few points for one."""
         if len(points) < 4:
             return None
+        together = columns.largest_cluster(points, weights, CLUSTER_CELL_M)
+        points, weights = points[together], weights[together]
+        if len(points) < 4:
+            return None
+        kept = columns.inner_part(points, weights, SIDE_SHARE, SIDE_DIRECTIONS, 0.005)
         order = np.argsort(points[:, 2])
         mass = np.cumsum(weights[order])
-        kept = (mass >= EXTREME_SHARE * mass[-1]) & (mass <= (1.0 - EXTREME_SHARE / 2) * mass[-1])
-        chosen = order[kept] if kept.sum() >= 4 else order
-        return Shape(np.ascontiguousarray(points[np.sort(chosen)]), voxel_size_m)
+        kept[order[(mass < EXTREME_SHARE * mass[-1]) | (mass > (1.0 - EXTREME_SHARE / 2) * mass[-1])]] = False
+        return Shape(np.ascontiguousarray(points[kept]) if kept.sum() >= 4 else points, voxel_size_m)
 
     @cached_property
     def lowest(self) -> float:
