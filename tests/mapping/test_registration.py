@@ -52,7 +52,10 @@ def test_a_perturbed_pose_is_recovered(corner: TsdfMap, off: tuple[float, ...]) 
 def test_noise_of_the_depth_does_not_hinder(corner: TsdfMap) -> None:
     points = seen(CORNER)
     noisy = points * (1.0 + np.random.default_rng(0).normal(scale=0.004, size=(len(points), 1)))
-    distance, angle = error(refine_pose(corner, noisy, CORNER @ SE3.exp([0.015, -0.01, 0.02, 0.005, -0.005, 0.004]), np.diag(SIGMA**2)), CORNER)
+    distance, angle = error(
+        refine_pose(corner, noisy, CORNER @ SE3.exp([0.015, -0.01, 0.02, 0.005, -0.005, 0.004]), np.diag(SIGMA**2)),
+        CORNER,
+    )
     assert distance < 0.004
     assert angle < 0.15
 
@@ -107,7 +110,10 @@ def test_the_normal_equations_are_those_of_finite_differences(corner: TsdfMap) -
     sigma = np.full(len(points), 0.02)
     fields = corner.store.fields
     h = 1e-4
-    nudges = [np.nan_to_num(corner.query(pose @ points + h * e) - corner.query(pose @ points - h * e)) / (2 * h) for e in np.eye(3)]
+    nudges = [
+        np.nan_to_num(corner.query(pose @ points + h * e) - corner.query(pose @ points - h * e)) / (2 * h)
+        for e in np.eye(3)
+    ]
     steep = np.linalg.norm(nudges, axis=0)
     points, sigma, steep = points[steep > 0.5], sigma[steep > 0.5], steep[steep > 0.5]
 

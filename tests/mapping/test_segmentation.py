@@ -87,7 +87,7 @@ def test_a_bleeding_cup_on_a_table_leaves_most_of_the_table_alone() -> None:
     assert (mine & cup).sum() > 0.95 * cup.sum()
     stolen = mine & ~cup
     assert stolen.sum() < 0.5 * (bleeding & ~cup).sum()
-    assert not stolen[: 110].any(), "above the cup the table is far behind"
+    assert not stolen[:110].any(), "above the cup the table is far behind"
 
 
 def test_a_right_mask_loses_nothing() -> None:
@@ -104,7 +104,9 @@ def test_trust_is_low_at_the_border_of_a_mask_and_full_inside() -> None:
     assert seen.trust[120, 160] == 1.0
     assert seen.trust[120, 121] < 0.3
     assert ((seen.trust >= 0.0) & (seen.trust <= 1.0)).all()
-    doubted = cut(np.full(U.shape, 1.0), np.where(true, CUP, WALL), true * 1, label_confidence=np.full(U.shape, 0.5, np.float32))
+    doubted = cut(
+        np.full(U.shape, 1.0), np.where(true, CUP, WALL), true * 1, label_confidence=np.full(U.shape, 0.5, np.float32)
+    )
     assert np.allclose(doubted.trust, 0.5 * seen.trust)
 
 

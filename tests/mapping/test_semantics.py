@@ -15,7 +15,9 @@ from tests.support.rooms import SMALL_CAMERA, Room, looking
 
 VOXEL = 0.1
 points_of = st.lists(
-    st.tuples(*(st.integers(-12, 12),) * 3, st.integers(0, 2), st.sampled_from([0.0, 0.25, 0.5, 1.0])), min_size=1, max_size=40
+    st.tuples(*(st.integers(-12, 12),) * 3, st.integers(0, 2), st.sampled_from([0.0, 0.25, 0.5, 1.0])),
+    min_size=1,
+    max_size=40,
 )
 
 
@@ -142,7 +144,9 @@ def test_an_image_votes_like_its_points() -> None:
 def test_what_carries_no_label_does_not_vote() -> None:
     depth = ROOM.depth(POSES[0], SMALL_CAMERA)
     semantics = SemanticMap(voxel_size_m=VOXEL)
-    changed = semantics.integrate_image(depth, np.zeros(depth.shape, np.uint16), np.ones_like(depth), SMALL_CAMERA, SE3.identity())
+    changed = semantics.integrate_image(
+        depth, np.zeros(depth.shape, np.uint16), np.ones_like(depth), SMALL_CAMERA, SE3.identity()
+    )
     assert len(changed) == 0
     assert semantics.query([[0.0, 0.0, 0.0]])[0].tolist() == [0]
 

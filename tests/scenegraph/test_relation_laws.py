@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from reasoning import KnowledgeBase
 from scenegraph.perception.shapes import Shape
-from tests.support.furnishing import Plan, box, cup, derived, placed, plate_on_legs, surface
+from tests.support.furnishing import Plan, box, cup, derived, judged, placed, plate_on_legs, surface
 
 PARTS = {
     "table": surface(*plate_on_legs(1.2, 0.7, 0.75), step=0.04),
@@ -38,7 +38,7 @@ def rules() -> Iterator[KnowledgeBase]:
 
 
 def furnished(rows: Arrangement) -> tuple[dict[str, Shape], dict[str, dict[str, float]]]:
-    """Things on the floor, or put on the top of the thing before; the shares of their ground in two rooms beside y = 0."""
+    """Things on the floor or on the thing before, and the shares of their ground in two rooms beside y = 0."""
     things: dict[str, Shape] = {}
     before: Shape | None = None
     for n, (kind, x, y, yaw, choice) in enumerate(rows):
@@ -94,40 +94,46 @@ def test_the_laws_hold_in_random_rooms(rules: KnowledgeBase, rows: Arrangement) 
             assert room_of[a] == room_of[b], "what straddles a border goes with what it stands on"
 
 
+Edges = dict[tuple[str, str, str], float]
+
+
+def clear_differences(one: Edges, two: Edges) -> set[tuple[str, str, str]]:
+    """Edges that only one side has, by a clear margin."""
+    return {edge for edge in one.keys() ^ two.keys() if max(one.get(edge, 0.0), two.get(edge, 0.0)) > 0.6}
+
+
 @RULES
 @given(rows=arrangements, yaw=st.sampled_from([np.pi / 2, np.pi, 0.5, -1.1]))
 def test_turning_the_world_about_z_changes_no_relation(rules: KnowledgeBase, rows: Arrangement, yaw: float) -> None:
     things, _ = furnished(rows)
-    one = derived(rules, things, Plan(), shares_of(things, 0.0))
-    two = derived(rules, turned(things, yaw), Plan(), shares_of(turned(things, yaw), yaw))
-    quarter = abs(yaw) > 1.5  # columns are a grid: only quarter turns map it to itself, up to its border
-    assert len(one ^ two) <= (0.05 if quarter else 0.12) * len(one | two) + 2, sorted(one ^ two)
+    one = judged(rules, things, Plan(), shares_of(things, 0.0))
+    two = judged(rules, turned(things, yaw), Plan(), shares_of(turned(things, yaw), yaw))
+    assert not clear_differences(one, two)
 
 
 @RULES
-@given(rows=arrangements, by=st.tuples(st.integers(-40, 40), st.integers(-40, 40)))
-def test_moving_the_world_changes_no_relation(rules: KnowledgeBase, rows: Arrangement, by: tuple[int, int]) -> None:
+@given(rows=arrangements, by=st.tuples(st.floats(-10, 10), st.floats(-10, 10)))
+def test_moving_the_world_changes_no_relation(rules: KnowledgeBase, rows: Arrangement, by: tuple[float, float]) -> None:
     things, shares = furnished(rows)
-    offset = (0.25 * by[0], 0.25 * by[1], 0.0)  # whole voxels
-    moved = {name: placed(shape.points.astype(np.float64), offset) for name, shape in things.items()}
-    one, two = derived(rules, things, Plan(), shares), derived(rules, moved, Plan(), shares)
-    assert len(one ^ two) <= 2, sorted(one ^ two)
+    moved = {name: placed(shape.points.astype(np.float64), (*by, 0.0)) for name, shape in things.items()}
+    assert not clear_differences(judged(rules, things, Plan(), shares), judged(rules, moved, Plan(), shares))
 
 
 @RULES
 @given(rows=arrangements, seed=st.integers(0, 99))
 def test_names_and_order_do_not_matter(rules: KnowledgeBase, rows: Arrangement, seed: int) -> None:
     things, shares = furnished(rows)
-    one = derived(rules, things, Plan(), shares)
     names = sorted(things)
     order = np.random.default_rng(seed).permutation(len(names))
     # the class stays with the thing; only its number changes
     other = {name: f"{name.rsplit('_', 1)[0]}_{100 + int(order[n])}" for n, name in enumerate(names)}
-    two = derived(
+    one = judged(rules, things, Plan(), shares)
+    two = judged(
         rules,
         {other[name]: shape for name, shape in things.items()},
         Plan(),
         {other[name]: share for name, share in shares.items()},
     )
-    renamed = {(relation, other.get(a, a), other.get(b, b)) for relation, a, b in one}
-    assert len(renamed ^ two) <= 2, sorted(renamed ^ two)  # ties go by id
+    renamed = {(relation, other.get(a, a), other.get(b, b)): c for (relation, a, b), c in one.items()}
+    ties = {edge for edge in clear_differences(renamed, two) if edge[0] in ("on", "supports")}
+    assert clear_differences(renamed, two) <= ties, "two surfaces at one height are told apart by name"

@@ -260,7 +260,7 @@ def sampled_wall(door: tuple[float, float] | None) -> PlaneMap:
     """A wall at x = 0 that faces −x, 4 m long and 2.4 m high, with a doorway from y to y."""
     size = 0.05
     y, z = np.meshgrid(np.arange(-2.0, 2.0, size), np.arange(0.0, 2.4, size))
-    points = np.stack([np.zeros(y.size), y.ravel(), z.ravel()], axis=1) + (-0.001, 0.5 * size, 0.5 * size)
+    points = np.stack([np.full(y.size, -0.001), y.ravel() + 0.5 * size, z.ravel() + 0.5 * size], axis=1)
     if door is not None:
         points = points[~((points[:, 1] > door[0]) & (points[:, 1] < door[1]) & (points[:, 2] < 2.0))]
     planes = PlaneMap(size)

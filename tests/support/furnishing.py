@@ -154,12 +154,22 @@ def tell(
     return sorted(things)
 
 
+def judged(
+    knowledge: KnowledgeBase,
+    things: Mapping[str, Shape],
+    around: Plan,
+    shares: Mapping[str, Mapping[str, float]] | None = None,
+) -> dict[tuple[str, str, str], float]:
+    """The edges (relation, source, target) that the rules derive from what is measured, and their confidences."""
+    _, edges = knowledge.derived_edges(tell(knowledge, things, around, shares))
+    return {(edge.relation, edge.source, edge.target): edge.confidence for edge in edges}
+
+
 def derived(
     knowledge: KnowledgeBase,
     things: Mapping[str, Shape],
     around: Plan,
     shares: Mapping[str, Mapping[str, float]] | None = None,
 ) -> set[tuple[str, str, str]]:
-    """The edges (relation, source, target) that the rules derive from what is measured."""
-    _, edges = knowledge.derived_edges(tell(knowledge, things, around, shares))
-    return {(edge.relation, edge.source, edge.target) for edge in edges}
+    """The edges alone."""
+    return set(judged(knowledge, things, around, shares))

@@ -37,7 +37,9 @@ class Scene:
 
     @property
     def label_space(self) -> LabelSpace:
-        classes = {n + 1: {"name": name, "kind": "stuff" if name in STUFF else "thing"} for n, name in enumerate(self.classes)}
+        classes = {
+            n + 1: {"name": name, "kind": "stuff" if name in STUFF else "thing"} for n, name in enumerate(self.classes)
+        }
         return LabelSpace(classes=classes)
 
     def id_of(self, label: str) -> int:
@@ -92,7 +94,9 @@ def looking_at(eye: Sequence[float], target: Sequence[float]) -> SE3:
     return SE3(np.stack([right, np.cross(forward, right), forward], axis=1), np.asarray(eye, dtype=np.float64))
 
 
-def table(x: float, y: float, thing: int, *, yaw: float = 0.0, size: tuple[float, float, float] = (1.2, 0.8, 0.74)) -> list[Block]:
+def table(
+    x: float, y: float, thing: int, *, yaw: float = 0.0, size: tuple[float, float, float] = (1.2, 0.8, 0.74)
+) -> list[Block]:
     """A table: a plate on four legs, all one thing."""
     length, width, height = size
     turn = SE3.exp([0, 0, 0, 0, 0, yaw]).rotation
