@@ -227,6 +227,8 @@ class Pieces:
 
     def _sum(self, slot_of: Array, points: Array, normals: Array, sign: int) -> None:
         """Add samples to (or take them from) the moments and rasters of their pieces."""
+        if not len(slot_of):
+            return
         kernels.accumulate(self.moments, slot_of, points, normals, float(sign))
         order = np.argsort(slot_of, kind="stable")
         slots, first = np.unique(slot_of[order], return_index=True)
