@@ -81,9 +81,13 @@ class InstanceMap(MapLayer):
         self.memory = require("memory", memory, 0.0, 1e6)
         self.store = BlockStore(
             {
-                "instance": "u4", "weight": "f4", "second": "u4", "second_weight": "f4", "total": "f4",
+                "instance": "u4",
+                "weight": "f4",
+                "second": "u4",
+                "second_weight": "f4",
+                "total": "f4",
                 "mean": ("f4", 3),
-            },  # fmt: skip
+            },
             voxel_size_m,
         )
         self.instances: dict[int, Instance] = {}
@@ -111,8 +115,16 @@ class InstanceMap(MapLayer):
         table, fields = self.store.table, self.store.fields
         trust = np.ascontiguousarray(seen.trust, dtype=np.float32)
         kernels.vote_image(
-            table, *(fields[n] for n in ("instance", "weight", "second", "second_weight", "total", "mean")), depth_m, choices,
-            trust, camera, pose, self.voxel_size_m, self.memory, MEAN_MEMORY,
+            table,
+            *(fields[n] for n in ("instance", "weight", "second", "second_weight", "total", "mean")),
+            depth_m,
+            choices,
+            trust,
+            camera,
+            pose,
+            self.voxel_size_m,
+            self.memory,
+            MEAN_MEMORY,
         )
         pairs = kernels.blocks_of_choices(table, depth_m, choices, camera, pose, self.voxel_size_m, 1)
         touched = self._claim(pairs)
@@ -121,11 +133,22 @@ class InstanceMap(MapLayer):
         return InstanceChange(frozenset(touched.union(merged.values())), merged)
 
     # -- association --------------------------------------------------------------------------------------
-    def _associate(self, seen: Segmentation, depth_m: Array, camera: Array, pose: Array) -> tuple[Array, list[tuple[int, int]]]:
-        """The instance (n,) of each piece, 0 for a piece that is too small to found one, and pairs seen through one mask."""
+    def _associate(
+        self, seen: Segmentation, depth_m: Array, camera: Array, pose: Array
+    ) -> tuple[Array, list[tuple[int, int]]]:
+        """The instance (n,) of each piece, 0 for a piece that is too small to found one, and pairs seen through one
+        mask."""
         fields = self.store.fields
         piece, known, hits, looked = kernels.count_overlaps(
-            self.store.table, fields["instance"], fields["weight"], depth_m, seen.pieces, camera, pose, self.voxel_size_m, 2,
+            self.store.table,
+            fields["instance"],
+            fields["weight"],
+            depth_m,
+            seen.pieces,
+            camera,
+            pose,
+            self.voxel_size_m,
+            2,
             len(seen),
         )
         real = known != BACKGROUND
@@ -135,7 +158,9 @@ class InstanceMap(MapLayer):
             visible[k] += n
         piece, known, hits = piece[piece > 0] - 1, known[piece > 0], hits[piece > 0]
         share = hits / np.maximum(looked[1:][piece], 1)
-        same = np.array([self.instances[k].label == seen.label[p] for p, k in zip(piece, known, strict=True)], dtype=bool)
+        same = np.array(
+            [self.instances[k].label == seen.label[p] for p, k in zip(piece, known, strict=True)], dtype=bool
+        )
         fits = share >= np.where(same, SAME_SHARE, OTHER_CLASS_SHARE)
 
         ids = np.zeros(len(seen), np.int64)
@@ -156,7 +181,10 @@ class InstanceMap(MapLayer):
         together = [
             (int(ids[p]), int(k))
             for p, k, n in zip(piece, known, hits.tolist(), strict=True)
-            if ids[p] and k != ids[p] and int(k) not in taken and n >= max(COVERED_PIXELS, COVERED_SHARE * visible[int(k)])
+            if ids[p]
+            and k != ids[p]
+            and int(k) not in taken
+            and n >= max(COVERED_PIXELS, COVERED_SHARE * visible[int(k)])
         ]
         return ids, together
 
@@ -169,7 +197,8 @@ class InstanceMap(MapLayer):
         known.labels[label] = known.labels.get(label, 0.0) + min(1.0, pixels / 400.0)
 
     def _claim(self, pairs: Array) -> set[int]:
-        """Note the blocks in which each instance has votes; returns all instances with voxels in blocks that changed."""
+        """Note the blocks in which each instance has votes; returns all instances with voxels in blocks that
+        changed."""
         touched: set[int] = set()
         pairs = pairs[pairs[:, 0] != BACKGROUND]
         packed = np.unique(pairs[:, 0] << 32 | pairs[:, 1])
@@ -202,7 +231,13 @@ class InstanceMap(MapLayer):
         slots = np.fromiter(gone.slots, np.int64, len(gone.slots))
         fields = self.store.fields
         kernels.rename(
-            slots, fields["instance"], fields["weight"], fields["second"], fields["second_weight"], instance_id, BACKGROUND
+            slots,
+            fields["instance"],
+            fields["weight"],
+            fields["second"],
+            fields["second_weight"],
+            instance_id,
+            BACKGROUND,
         )
         for pair in [p for p in self._together if instance_id in p]:
             del self._together[pair]
@@ -214,7 +249,9 @@ class InstanceMap(MapLayer):
         return {
             **super().state(),
             "table.next_id": np.array(self._next_id),
-            "table.instances": np.array([(i.id, i.first_seen_ns, i.last_seen_ns, i.views) for i in known], np.int64).reshape(-1, 4),
+            "table.instances": np.array(
+                [(i.id, i.first_seen_ns, i.last_seen_ns, i.views) for i in known], np.int64
+            ).reshape(-1, 4),
             "table.votes": np.array(votes, np.float64).reshape(-1, 3),
             "table.together": np.array([(*pair, n) for pair, n in self._together.items()], np.int64).reshape(-1, 3),
         }
@@ -258,8 +295,16 @@ class InstanceMap(MapLayer):
         slots = np.sort(np.fromiter(self.instances[instance_id].slots, np.int64))
         fields = self.store.fields
         points, weights = kernels.gather(
-            slots, self.block_ijk, fields["instance"], fields["weight"], fields["total"], fields["mean"], instance_id,
-            self.voxel_size_m, LEAST_WEIGHT, LEAST_SHARE,
+            slots,
+            self.block_ijk,
+            fields["instance"],
+            fields["weight"],
+            fields["total"],
+            fields["mean"],
+            instance_id,
+            self.voxel_size_m,
+            LEAST_WEIGHT,
+            LEAST_SHARE,
         )
         return points, weights
 

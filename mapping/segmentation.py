@@ -1,7 +1,8 @@
 """From the labels of an image to pieces of surface that belong to one thing each.
 
 Source of the problem: *Semantic 3D mapping from deep image segmentation* (Martín et al. 2021): mask pixels beyond an
-object's edge fall on the background and would pollute the map. Here each mask is cut where depth jumps, the piece in the
+object's edge fall on the background and would pollute the map. Here each mask is cut where depth jumps, the piece in
+the
 middle of the mask is kept, and pixels near the mask's boundary are trusted less.
 """
 
@@ -27,12 +28,14 @@ above the noise of depth cameras, and the slope of a table top seen from standin
 CORE_SHARE = 0.6
 """The core of a mask is what lies deeper inside than BLEED_PX, or, in a small mask, than this share of its depth."""
 RIM_SLOPE = 3.0
-"""A rim pixel is the thing's own when its surface is no steeper than this against the image plane, seen from the core."""
+"""A rim pixel is the thing's own when its surface is no steeper than this against the image plane, seen from the
+core."""
 LEAST_PIXELS = 40
 """A piece smaller than this says too little about where a thing is."""
 PART_SHARE = 0.1
 PART_DEPTH_M = 0.6
-"""A thing seen around an obstacle has more than one piece: each counts this share of the main one and lies this near it."""
+"""A thing seen around an obstacle has more than one piece: each counts this share of the main one and lies this near
+it."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,8 @@ def segment(image: RgbdImage, depth_m: Array, things: Array) -> Segmentation:
 def _group_pieces(of_mask: Array, centrality: Array, mean_depth: Array, has_instance: Array) -> Array:
     """The number (n,) of the thing that each piece belongs to, 0 for pieces of background in gaps of a mask.
 
-    Of a mask with an instance id: the most central piece, and others that are large and near enough in depth to be parts
+    Of a mask with an instance id: the most central piece, and others that are large and near enough in depth to be
+    parts
     of it. Without instance ids every piece stands for itself.
     """
     group = np.zeros(len(of_mask), np.int64)

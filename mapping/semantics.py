@@ -55,7 +55,9 @@ class SemanticMap(MapLayer):
         points, choices = as_points(p_map), np.ascontiguousarray(labels, dtype=np.uint16)
         trust = np.ones(len(points), np.float32) if weights is None else np.ascontiguousarray(weights, dtype=np.float32)
         if not len(points) == len(choices) == len(trust):
-            raise InvalidParameter(f"labels, weights: expected one a point, {len(points)}, got {len(choices)}, {len(trust)}")
+            raise InvalidParameter(
+                f"labels, weights: expected one a point, {len(points)}, got {len(choices)}, {len(trust)}"
+            )
         voting = (choices != 0) & (trust > 0)
         slots = self.store.allocate(np.unique(point_to_ijk(points[voting], self.voxel_size_m) >> 3, axis=0))
         kernels.vote_points(self.store.table, *self._votes(), points, choices, trust, self.voxel_size_m, self.memory)
@@ -64,15 +66,25 @@ class SemanticMap(MapLayer):
     def integrate_image(
         self, depth_m: Array, labels: Array, trust: Array, intrinsics: CameraIntrinsics, T_map_camera: SE3
     ) -> Changed:
-        """Votes of pixels: depth (H, W) float32 [m], class ids (H, W) uint16 with 0 = no vote, trust (H, W) in 0 … 1."""
+        """Votes of pixels: depth (H, W) float32 [m], class ids (H, W) uint16 with 0 = no vote, trust (H, W) in 0 …
+        1."""
         camera, pose = camera_row(intrinsics), pose_rows(T_map_camera)
         voting = (labels != 0) & (depth_m > 0)
         blocks = kernels.touched_blocks(depth_m, voting, camera, pose, self.voxel_size_m, 2)
         slots = self.store.allocate(blocks)
         choices = np.where(voting, labels, 0).astype(np.uint16)
         kernels.vote_image(
-            self.store.table, *self._votes(), _NO_MEAN, depth_m, choices, np.ascontiguousarray(trust, dtype=np.float32),
-            camera, pose, self.voxel_size_m, self.memory, 0.0,
+            self.store.table,
+            *self._votes(),
+            _NO_MEAN,
+            depth_m,
+            choices,
+            np.ascontiguousarray(trust, dtype=np.float32),
+            camera,
+            pose,
+            self.voxel_size_m,
+            self.memory,
+            0.0,
         )
         return self._note(slots)
 

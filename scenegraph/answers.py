@@ -47,7 +47,8 @@ class Answers:
         return self.reply.elapsed_ms
 
     def explain(self) -> Explanation | None:
-        """Why it holds, or why not: rules, facts, measured values and thresholds. None when the goal could not be asked."""
+        """Why it holds, or why not: rules, facts, measured values and thresholds. None when the goal could not be
+        asked."""
         return self.reply.explanation
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
@@ -94,7 +95,8 @@ class PlaceAnswer:
 
 @dataclass(frozen=True)
 class Place:
-    """The answer to `where`. `ambiguous` holds the ids that the phrase could mean when it asks for one and fits several."""
+    """The answer to `where`. `ambiguous` holds the ids that the phrase could mean when it asks for one and fits
+    several."""
 
     truth: Truth
     phrase: str

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +20,7 @@ KEPT_IMAGES = 8
 KEPT_DETECTIONS = 256
 
 
-@dataclass(frozen=True)
-class Posed:
+class Posed(NamedTuple):
     """An image without labels of its own and where it was taken."""
 
     image: RgbdImage
@@ -75,11 +73,13 @@ def painted(image: RgbdImage, detections: Detections, labels: Labels) -> RgbdIma
         item = detections.items[n]
         if item.mask is not None:
             if item.mask.shape != shape:
-                raise InvalidObservation(f"Detections.items.{n}.mask: expected the image's shape {shape}, got {item.mask.shape}")
+                raise InvalidObservation(
+                    f"Detections.items.{n}.mask: expected the image's shape {shape}, got {item.mask.shape}"
+                )
             where = item.mask
         elif item.box2d is not None:
             where = np.zeros(shape, bool)
-            u0, v0, u1, v1 = (int(round(c)) for c in item.box2d)
+            u0, v0, u1, v1 = (round(c) for c in item.box2d)
             where[max(v0, 0) : max(v1, 0), max(u0, 0) : max(u1, 0)] = True
         else:
             assert item.box3d is not None

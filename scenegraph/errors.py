@@ -20,8 +20,6 @@ Every error has a `code` (snake case, stable), a message (`str(error)`) and a `h
 and `reasoning` have the same three, so that `problem_of` can turn any of them into the `Problem` that clients receive.
 """
 
-# ruff: noqa: N818 - errors are named for what went wrong, not for being errors
-
 from __future__ import annotations
 
 import difflib

@@ -1,12 +1,12 @@
 """How good the world is: simulated homes mapped through the main path, and figures against their truth.
 
-| figure | counted over | right when |
-| --- | --- | --- |
-| `planes.accuracy` | true planes ≥ 0.5 m² and ≥ 30 % seen, and extracted planes that are no structure | a third of what was seen of it is covered, mostly by planes of its label; `no_feature` |
-| `objects.*` | things with ≥ 200 pixels in ≥ 3 images | one node of its class within 0.25 m of its centre, one to one |
-| `rooms.*` | all rooms | a room node that overlaps it by half (intersection over union), one to one |
-| `relations.R.*` | pairs of which both things are matched | in the graph and true; `recall_all` is over all countable pairs |
-| `semantics.*` | labelled voxels within a voxel of a surface | the class of the nearest true surface |
+- `planes.accuracy`: over true planes ≥ 0.5 m² and ≥ 30 % seen, right when a third of what was seen is covered, mostly
+  by planes of its label; and over extracted planes that are no structure, right when they are `no_feature`.
+- `objects.*`: over things with ≥ 200 pixels in ≥ 3 images; found when a node of its class lies within 0.25 m of its
+  centre, one to one. Nodes of things seen less count neither way.
+- `rooms.*`: found when a room node overlaps it by half (intersection over union), one to one.
+- `relations.R.*`: over pairs of which both ends are matched; `recall_all` over all pairs of counted things.
+- `semantics.*`: over labelled voxels within a voxel of a surface, right when of the class of the nearest true surface.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Evaluation:
         """Every figure by name."""
         found: dict[str, float] = {}
         for name, tally in sorted(self.tallies.items()):
-            if name.endswith("accuracy") or name.endswith("recall_all"):
+            if name.endswith(("accuracy", "recall_all")):
                 found[name] = tally.recall
             else:
                 found[f"{name}.precision"], found[f"{name}.recall"] = tally.precision, tally.recall
@@ -88,7 +88,11 @@ class Evaluation:
 
 
 def evaluate(
-    seeds: int, first_seed: int = 0, *, noise: Literal["none", "realistic"] = "realistic", config: WorldConfig | None = None,
+    seeds: int,
+    first_seed: int = 0,
+    *,
+    noise: Literal["none", "realistic"] = "realistic",
+    config: WorldConfig | None = None,
     advance: Callable[[], object] | None = None,
 ) -> Evaluation:
     """Map `seeds` simulated homes, beginning with `first_seed`, and judge each against its truth.
@@ -146,9 +150,7 @@ def _judge_objects(world: World, home: Home, countable: frozenset[str], result: 
     result.tallies["objects"].add(len(matched), len(nodes) - len(aside), len(counted))
     found = set(matched.values())
     result.notes += [f"{home.seed}: missed {o.id}" for o in counted if o.id not in found]
-    result.notes += [
-        f"{home.seed}: {n.id} is no {n.label}" for n in nodes if n.id not in matched and n.id not in aside
-    ]
+    result.notes += [f"{home.seed}: {n.id} is no {n.label}" for n in nodes if n.id not in matched and n.id not in aside]
     return matched
 
 
@@ -215,7 +217,8 @@ def _judge_relations(
 
 
 def _judge_planes(world: World, home: Home, recorder: TruthRecorder, result: Evaluation) -> None:
-    """Each sample of an extracted plane stands for its share of the plane's area and lies on the nearest true surface."""
+    """Each sample of an extracted plane stands for its share of the plane's area and lies on the nearest true
+    surface."""
     covered: defaultdict[int, Counter[str]] = defaultdict(Counter)
     planes = world.map.planes
     names = {info.name: class_id for class_id, info in home.label_space.classes.items()}
@@ -238,16 +241,16 @@ def _judge_planes(world: World, home: Home, recorder: TruthRecorder, result: Eva
             if node.label != "no_feature":
                 result.notes.append(f"{home.seed}: {node.id} is no {node.label}")
     seen = recorder.plane_seen
-    for k, plane in enumerate(home.structure):
-        if plane.id not in recorder.countable_planes:
+    for k, true in enumerate(home.structure):
+        if true.id not in recorder.countable_planes:
             continue
         said += 1
         label, area = covered[k].most_common(1)[0] if covered[k] else ("missed", 0.0)
-        enough = sum(covered[k].values()) >= PLANE_COVER * plane.area * seen[plane.id]
-        good = enough and label == plane.kind
+        enough = sum(covered[k].values()) >= PLANE_COVER * true.area * seen[true.id]
+        good = enough and label == true.kind
         right += good
         if not good:
-            result.notes.append(f"{home.seed}: plane {plane.id} is {label if enough else 'missed'}, {area:.1f} m²")
+            result.notes.append(f"{home.seed}: plane {true.id} is {label if enough else 'missed'}, {area:.1f} m²")
     result.tallies["planes.accuracy"].add(right, said, said)
 
 

@@ -45,7 +45,8 @@ class Labels:
                 break
         else:
             raise InvalidObservation(
-                f"labels: no label space is known for {robot}/{sensor}", hint="publish a LabelSpace before labelled data"
+                f"labels: no label space is known for {robot}/{sensor}",
+                hint="publish a LabelSpace before labelled data",
             )
         translated = table[labels]
         unknown = (translated == 0) & (labels != 0)

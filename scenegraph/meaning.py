@@ -12,6 +12,7 @@ from scenegraph import facts
 from scenegraph.answers import Answers
 from scenegraph.config import WorldConfig
 from scenegraph.graph import Edge, GraphChanges, Node, SceneGraph
+from scenegraph.graph.delta import NodeDeletion
 from scenegraph.perception.relations import MeasurementChange
 from scenegraph.perception.structure import rules_labeller
 from scenegraph.statements import Statement
@@ -63,11 +64,17 @@ class Meaning:
 
     # -- the graph ----------------------------------------------------------------------------------------
     def infer(
-        self, changes: GraphChanges, measured: MeasurementChange, touched: Iterable[str], graph: SceneGraph, source: str, stamp_ns: int
+        self,
+        changes: GraphChanges,
+        measured: MeasurementChange,
+        touched: Iterable[str],
+        graph: SceneGraph,
+        source: str,
+        stamp_ns: int,
     ) -> None:
         """Tell the rules what changed, and add to `changes` the edges and room types that now follow or fail."""
         nodes = {step.id: step for step in changes.steps if isinstance(step, Node)}
-        gone = {step.id for step in changes.steps if not isinstance(step, (Node, Edge)) and hasattr(step, "reason")}
+        gone = {step.id for step in changes.steps if isinstance(step, NodeDeletion)}
         put, deleted = facts.measurement_facts(measured)
         for node in nodes.values():
             fresh = frozenset(facts.node_facts(node))
@@ -86,14 +93,20 @@ class Meaning:
 
     @staticmethod
     def _bring_edges_in_step(
-        changes: GraphChanges, looked_at: list[str], derived: list[Any], nodes: dict[str, Node], gone: set[str],
-        graph: SceneGraph, source: str, stamp_ns: int,
+        changes: GraphChanges,
+        looked_at: list[str],
+        derived: list[Any],
+        nodes: dict[str, Node],
+        gone: set[str],
+        graph: SceneGraph,
+        source: str,
+        stamp_ns: int,
     ) -> None:
         known_at = (node_id for node_id in looked_at if node_id in graph)
         stale = {edge.key for node_id in known_at for edge in graph.edges_of(node_id) if follows_rules(edge)}
         for edge in derived:
             key = (edge.relation, edge.source, edge.target)
-            stale.discard(key)  # type: ignore[arg-type]
+            stale.discard(key)
             known = graph.edge(*key)
             if known is not None and known.value == edge.value and known.threshold == edge.threshold:
                 continue
@@ -128,7 +141,13 @@ class Meaning:
         if at_ns is not None:
             past = graph.as_of(at_ns)
             with KnowledgeBase() as memory:
-                memory.update(put=[*self._class_facts(), *(f for n in past.nodes() for f in facts.node_facts(n)), *map(facts.edge_fact, past.edges())])
+                memory.update(
+                    put=[
+                        *self._class_facts(),
+                        *(f for n in past.nodes() for f in facts.node_facts(n)),
+                        *map(facts.edge_fact, past.edges()),
+                    ]
+                )
                 reply = memory.ask(goal, limit=limit, timeout_s=timeout_s, explain=True, viewer=viewer)
             return Answers(reply, past.revision, {n.id: n for n in past.nodes()})
         reply = self.knowledge.ask(goal, limit=limit, timeout_s=timeout_s, explain=True, viewer=viewer)
@@ -150,7 +169,11 @@ class Meaning:
             self.knowledge.update(deleted=[Compound("told", told.args)])
 
     def remember(
-        self, graph: SceneGraph, classes: Sequence[ClassInfo], measured: MeasurementChange, statements: Sequence[Statement]
+        self,
+        graph: SceneGraph,
+        classes: Sequence[ClassInfo],
+        measured: MeasurementChange,
+        statements: Sequence[Statement],
     ) -> None:
         """Tell the rules everything about a world that comes back from disk."""
         self.learn_classes(classes)

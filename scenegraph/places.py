@@ -31,14 +31,20 @@ STAND_OFF_M = 1.2
 WINDOW_M = 8.0
 """Ways are looked for within this distance of robot and goal."""
 MOST_POSES = 5
-BESIDE = frozenset({"near", "next_to", "in_front_of", "behind", "left_of", "right_of", "under", "above", "on", "between"})
+BESIDE = frozenset(
+    {"near", "next_to", "in_front_of", "behind", "left_of", "right_of", "under", "above", "on", "between"}
+)
 
 
 class PlaceFinder:
     """Turns a phrase or a goal into regions and reachable poses in the world as it stands."""
 
     def __init__(
-        self, graph: SceneGraph, occupancy: OccupancyMap, knowledge: KnowledgeBase, robots: Mapping[str, RobotDescription],
+        self,
+        graph: SceneGraph,
+        occupancy: OccupancyMap,
+        knowledge: KnowledgeBase,
+        robots: Mapping[str, RobotDescription],
         robot_radius_m: float,
     ) -> None:
         self._graph = graph
@@ -58,7 +64,9 @@ class PlaceFinder:
         answers = []
         for row in reply.answers:
             names = variables or tuple(row)
-            nodes = [self._graph.node(t.name) for n in names if isinstance(t := row.get(n), Atom) and t.name in self._graph]
+            nodes = [
+                self._graph.node(t.name) for n in names if isinstance(t := row.get(n), Atom) and t.name in self._graph
+            ]
             if nodes:
                 answers.append(self._place(nodes, relation, robot))
         answers.sort(key=_rank)
@@ -119,7 +127,10 @@ class PlaceFinder:
         start = self._robot_at(robot)
         floor_z = self._floor_z(nodes)
         inside = all(n.layer == "room" for n in nodes)
-        low, high = np.array(footprint.bounds[:2]) - STAND_OFF_M - 0.5, np.array(footprint.bounds[2:]) + STAND_OFF_M + 0.5
+        low, high = (
+            np.array(footprint.bounds[:2]) - STAND_OFF_M - 0.5,
+            np.array(footprint.bounds[2:]) + STAND_OFF_M + 0.5,
+        )
         if start is not None and np.abs(start - np.array(footprint.centroid.coords[0])).max() < 3 * WINDOW_M:
             low, high = np.minimum(low, start - 1.0), np.maximum(high, start + 1.0)
         origin = np.floor(low / CELL_M).astype(np.int64)
@@ -137,7 +148,9 @@ class PlaceFinder:
             badness = away - clearance[tuple(cells.T)]
         else:
             away = shapely.distance(target, footprint)
-            badness = np.where(away <= STAND_OFF_M + self._radius(robot), away, np.inf) - 0.3 * np.minimum(clearance[tuple(cells.T)], 1.0)
+            badness = np.where(away <= STAND_OFF_M + self._radius(robot), away, np.inf) - 0.3 * np.minimum(
+                clearance[tuple(cells.T)], 1.0
+            )
         focus = np.array(footprint.centroid.coords[0])
         poses: list[GoalPose] = []
         chosen: list[Array] = []
@@ -159,7 +172,8 @@ class PlaceFinder:
         return poses
 
     def _clearance(self, origin: Array, shape: tuple[int, ...], floor_z: float, height_m: float) -> Array:
-        """Distance (W, H) [m] of each ground cell to the nearest cell that is filled, or was not seen, at any height."""
+        """Distance (W, H) [m] of each ground cell to the nearest cell that is filled, or was not seen, at any
+        height."""
         low = np.array([*(origin * CELL_M), floor_z + LEAST_HEIGHT_M])
         high = low + np.array([*(np.array(shape) * CELL_M), height_m - LEAST_HEIGHT_M])
         codes, first = self._occupancy.box(low, high)
@@ -201,9 +215,9 @@ class PlaceFinder:
         rooms = [n for n in nodes if n.layer == "room"]
         for node in nodes:
             for edge in self._graph.edges("in", source=node.id):
-                if edge.target in self._graph and self._graph.node(edge.target).layer == "room":
-                    rooms.append(self._graph.node(edge.target))
-        heights = [float(r.attributes["floor_z"]) for r in rooms if "floor_z" in r.attributes]  # type: ignore[arg-type]
+                target = self._graph.node(edge.target)
+                rooms += [target] if target.layer == "room" else []
+        heights = [float(r.attributes["floor_z"]) for r in rooms if "floor_z" in r.attributes]
         if heights:
             return min(heights)
         floors = [n.position[2] for n in self._graph.nodes("structure", label="floor")]

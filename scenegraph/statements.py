@@ -25,7 +25,8 @@ FORMS = {
 
 @dataclass(frozen=True)
 class Statement:
-    """A statement with its author and reason; `args` are plain values, ids are texts, the term of a fact stays a term."""
+    """A statement with its author and reason; `args` are plain values, ids are texts, the term of a fact stays a
+    term."""
 
     kind: str
     args: tuple[Any, ...]
@@ -47,9 +48,13 @@ def read(text: str, author: str, reason: str, stamp_ns: int, knowledge: Knowledg
     except ReasoningError as error:
         raise InvalidStatement(f"statement: {error}", hint=f"one of {', '.join(FORMS.values())}") from None
     if not isinstance(term, Compound) or (term.name, len(term.args)) not in FORMS:
-        raise InvalidStatement(f"statement: {text!r} is none of those known", hint=f"one of {', '.join(FORMS.values())}")
+        raise InvalidStatement(
+            f"statement: {text!r} is none of those known", hint=f"one of {', '.join(FORMS.values())}"
+        )
     if not _ground(term):
-        raise InvalidStatement(f"statement: {text!r} holds a variable", hint="names begin with a lower-case letter, or use quotes")
+        raise InvalidStatement(
+            f"statement: {text!r} holds a variable", hint="names begin with a lower-case letter, or use quotes"
+        )
     kind = term.name
     args = term.args if kind in ("fact", "retract") else tuple(_plain(kind, argument) for argument in term.args)
     return Statement(kind, args, text, author, reason, stamp_ns)

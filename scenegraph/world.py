@@ -127,12 +127,14 @@ class World:
     ) -> Answers:
         """Ask a goal such as `near(X, oven), on(X, Y)`; a class name stands for any instance.
 
-        robot : whose viewpoint left and right mean;  at_ns : ask the graph as it was then (its edges, not new inferences)
+        robot : whose viewpoint left and right mean;  at_ns : ask the graph as it was then (its edges, not new
+        inferences)
         """
         return self.meaning.ask(goal, self.graph, robot=robot, limit=limit, timeout_s=timeout_s, at_ns=at_ns)
 
     def where(self, phrase: str, *, robot: str | None = None) -> Place:
-        """Where a phrase (`near the oven`) or a goal with one variable (`cup(X)`) is: nodes, region, reachable poses."""
+        """Where a phrase (`near the oven`) or a goal with one variable (`cup(X)`) is: nodes, region, reachable
+        poses."""
         finder = PlaceFinder(self.graph, self.map.occupancy, self._knowledge, self.robots, self.config.robot_radius_m)
         return finder.find(phrase, robot)
 
@@ -153,11 +155,17 @@ class World:
             "revision": self.graph.revision,
             "stamp_ns": self.graph.stamp_ns,
             "layers": {
-                name: {"blocks": len(layer.block_ijk), "memory_bytes": layer.memory_bytes, "voxel_size_m": layer.voxel_size_m}
+                name: {
+                    "blocks": len(layer.block_ijk),
+                    "memory_bytes": layer.memory_bytes,
+                    "voxel_size_m": layer.voxel_size_m,
+                }
                 for name, layer in self.map.layers.items()
             },
             "planes": len(self.map.planes),
-            "nodes": {layer: len(self.graph.nodes(layer)) for layer in ("building", "room", "structure", "object", "agent")},
+            "nodes": {
+                layer: len(self.graph.nodes(layer)) for layer in ("building", "room", "structure", "object", "agent")
+            },
             "edges": self.graph.n_edges,
             "classes": [c.name for c in self.labels.classes],
             "facts": len(self._knowledge),
@@ -188,5 +196,3 @@ class World:
 
 def _source(observation: RgbdImage | Scan | Detections) -> str:
     return f"{observation.robot}/{observation.sensor}@{observation.stamp_ns}"
-
-

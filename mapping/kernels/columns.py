@@ -138,7 +138,8 @@ def inner_part(points: Array, weights: Array, share: float, directions: int, bin
 
 @njit(cache=True)
 def largest_cluster(points: Array, weights: Array, cell: float) -> Array:
-    """(N,) bool: the points of the heaviest connected cluster; cells of side `cell` [m] connect to their 26 neighbours."""
+    """(N,) bool: the points of the heaviest connected cluster; cells of side `cell` [m] connect to their 26
+    neighbours."""
     n = len(points)
     keys = np.empty(n, dtype=np.int64)
     for p in range(n):
@@ -171,4 +172,5 @@ def largest_cluster(points: Array, weights: Array, cell: float) -> Array:
             a = parent[a]
         root[p] = a
         mass[a] += weights[p]
-    return root == mass.argmax()
+    heaviest: Array = root == mass.argmax()
+    return heaviest

@@ -130,7 +130,8 @@ def flood(labels: Array, allowed: Array) -> None:
 
 @njit(cache=True)
 def shortest_way(blocked: Array, start_i: int, start_j: int, goal_i: int, goal_j: int, limit: float) -> Array:
-    """The cells (K, 2) of a shortest 8-neighbour way over a grid (W, H), both ends included; empty beyond `limit` cells.
+    """The cells (K, 2) of a shortest 8-neighbour way over a grid (W, H), both ends included; empty beyond `limit`
+    cells.
 
     A* with the octile distance. A diagonal step needs both cells beside it free. The ends themselves may be blocked.
     """
@@ -214,7 +215,9 @@ def taut_length(blocked: Array, way: Array) -> float:
     at = 0
     while at < len(way) - 1:
         to = len(way) - 1
-        while to > at + 1 and not _clear(blocked, way[at, 0] + 0.5, way[at, 1] + 0.5, way[to, 0] + 0.5, way[to, 1] + 0.5):
+        while to > at + 1 and not _clear(
+            blocked, way[at, 0] + 0.5, way[at, 1] + 0.5, way[to, 0] + 0.5, way[to, 1] + 0.5
+        ):
             to -= 1
         total += np.sqrt(float((way[to, 0] - way[at, 0]) ** 2 + (way[to, 1] - way[at, 1]) ** 2))
         at = to

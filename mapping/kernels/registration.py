@@ -14,7 +14,9 @@ Array = NDArray[Any]
 
 
 @njit(cache=True)
-def _sample(table: Array, distance: Array, weight: Array, voxel: float, x: float, y: float, z: float, gradient: Array) -> float:
+def _sample(
+    table: Array, distance: Array, weight: Array, voxel: float, x: float, y: float, z: float, gradient: Array
+) -> float:
     """Signed distance interpolated between eight voxels, its gradient in place; NaN where one of them is unknown."""
     fx, fy, fz = x / voxel - 0.5, y / voxel - 0.5, z / voxel - 0.5
     i, j, k = int(np.floor(fx)), int(np.floor(fy)), int(np.floor(fz))
@@ -45,10 +47,19 @@ def _sample(table: Array, distance: Array, weight: Array, voxel: float, x: float
 
 @njit(cache=True)
 def accumulate(
-    table: Array, distance: Array, weight: Array, voxel: float, points: Array, sigma: Array, pose: Array, huber: float,
-    information: Array, vector: Array,
+    table: Array,
+    distance: Array,
+    weight: Array,
+    voxel: float,
+    points: Array,
+    sigma: Array,
+    pose: Array,
+    huber: float,
+    information: Array,
+    vector: Array,
 ) -> tuple[int, float]:
-    """Sum the normal equations of Σ ρ(d(T · p)/σ) over points, in place; returns how many took part and their mean |d| [m].
+    """Sum the normal equations of Σ ρ(d(T · p)/σ) over points, in place; returns how many took part and their mean
+    |d| [m].
 
     points (N, 3) in the sensor frame [m], sigma (N,) [m], pose (3, 4) sensor in map
     information (6, 6), vector (6,): Hessian and descent direction for a right perturbation x, y, z, roll, pitch, yaw
@@ -61,7 +72,10 @@ def accumulate(
     for n in range(len(points)):
         px, py, pz = points[n]
         d = _sample(
-            table, distance, weight, voxel,
+            table,
+            distance,
+            weight,
+            voxel,
             pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3],
             pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3],
             pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3],

@@ -150,7 +150,8 @@ def number_masks(keys: Array, mask: Array) -> Array:
 
 @njit(cache=True)
 def measure_masks(mask: Array, distance: Array, deepest: Array) -> None:
-    """The largest distance from the boundary that each mask reaches, in place. mask (H, W) int32: 0 … n − 1 for deepest (n,)."""
+    """The largest distance from the boundary that each mask reaches, in place. mask (H, W) int32: 0 … n − 1 for
+    deepest (n,)."""
     height, width = mask.shape
     for v in range(height):
         for u in range(width):
@@ -160,7 +161,14 @@ def measure_masks(mask: Array, distance: Array, deepest: Array) -> None:
 
 @njit(cache=True)
 def measure_pieces(
-    mask: Array, distance: Array, depth: Array, pieces: Array, of_mask: Array, pixels: Array, centrality: Array, mean_depth: Array
+    mask: Array,
+    distance: Array,
+    depth: Array,
+    pieces: Array,
+    of_mask: Array,
+    pixels: Array,
+    centrality: Array,
+    mean_depth: Array,
 ) -> None:
     """Sum up every piece, in place.
 

@@ -27,10 +27,14 @@ def convex_hull(points: Array) -> Array:
         for s in range(n):
             i = order[s] if sweep == 0 else order[n - 1 - s]
             x, y = points[i, 0], points[i, 1]
-            while k - start >= 2 and (
-                (hull[k - 1, 0] - hull[k - 2, 0]) * (y - hull[k - 2, 1])
-                - (hull[k - 1, 1] - hull[k - 2, 1]) * (x - hull[k - 2, 0])
-            ) <= 0.0:
+            while (
+                k - start >= 2
+                and (
+                    (hull[k - 1, 0] - hull[k - 2, 0]) * (y - hull[k - 2, 1])
+                    - (hull[k - 1, 1] - hull[k - 2, 1]) * (x - hull[k - 2, 0])
+                )
+                <= 0.0
+            ):
                 k -= 1
             if k > start and hull[k - 1, 0] == x and hull[k - 1, 1] == y:
                 continue
@@ -83,7 +87,7 @@ def overlap_area(a: Array, b: Array) -> float:
         if n < 3:
             return 0.0
         inside[:n] = clipped[:n]
-    return abs(polygon_area(inside[:n]))
+    return float(abs(polygon_area(inside[:n])))
 
 
 @njit(cache=True)

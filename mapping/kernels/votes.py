@@ -58,7 +58,9 @@ def touched_blocks(depth: Array, wanted: Array, camera: Array, pose: Array, voxe
 
 
 @njit(cache=True, inline="always")
-def _vote(first: Array, first_weight: Array, second: Array, second_weight: Array, s: int, l: int, choice: int, w: float) -> None:
+def _vote(
+    first: Array, first_weight: Array, second: Array, second_weight: Array, s: int, l: int, choice: int, w: float
+) -> None:
     """Count one vote in voxel (s, l): the leader and a contender are kept, a third choice wears the contender down
     (Misra & Gries 1982 with two counters)."""
     if choice == first[s, l]:
@@ -81,8 +83,17 @@ def _vote(first: Array, first_weight: Array, second: Array, second_weight: Array
 
 @njit(cache=True)
 def vote_points(
-    table: Array, first: Array, first_weight: Array, second: Array, second_weight: Array, total: Array,
-    p_map: Array, choices: Array, weights: Array, voxel: float, limit: float,
+    table: Array,
+    first: Array,
+    first_weight: Array,
+    second: Array,
+    second_weight: Array,
+    total: Array,
+    p_map: Array,
+    choices: Array,
+    weights: Array,
+    voxel: float,
+    limit: float,
 ) -> None:
     """Votes of points, in place. p_map (N, 3) [m], choices (N,) with 0 = no vote, weights (N,)."""
     for n in range(len(p_map)):
@@ -105,8 +116,21 @@ def vote_points(
 
 @njit(cache=True)
 def vote_image(
-    table: Array, first: Array, first_weight: Array, second: Array, second_weight: Array, total: Array, mean: Array,
-    depth: Array, choices: Array, weights: Array, camera: Array, pose: Array, voxel: float, limit: float, mean_limit: float,
+    table: Array,
+    first: Array,
+    first_weight: Array,
+    second: Array,
+    second_weight: Array,
+    total: Array,
+    mean: Array,
+    depth: Array,
+    choices: Array,
+    weights: Array,
+    camera: Array,
+    pose: Array,
+    voxel: float,
+    limit: float,
+    mean_limit: float,
 ) -> None:
     """Votes of the pixels of an image, in place.
 
@@ -164,13 +188,22 @@ def vote_image(
 
 @njit(cache=True)
 def count_overlaps(
-    table: Array, first: Array, first_weight: Array, depth: Array, pieces: Array, camera: Array, pose: Array,
-    voxel: float, step: int, n_pieces: int,
+    table: Array,
+    first: Array,
+    first_weight: Array,
+    depth: Array,
+    pieces: Array,
+    camera: Array,
+    pose: Array,
+    voxel: float,
+    step: int,
+    n_pieces: int,
 ) -> tuple[Array, Array, Array, Array]:
     """How many pixels of each piece lie on voxels of which known instance.
 
     pieces (H, W) int32: 1 … n_pieces, 0 = none. Looked up at the point, then beside it: before and behind on the ray,
-    above and below. Returns piece (K,) with 0 for none, instance (K,), hits (K,) of the pairs that occur, and the pixels
+    above and below. Returns piece (K,) with 0 for none, instance (K,), hits (K,) of the pairs that occur, and the
+    pixels
     looked at per piece (n_pieces + 1,).
     """
     height, width = depth.shape
@@ -231,10 +264,19 @@ def count_overlaps(
 
 @njit(cache=True)
 def gather(
-    slots: Array, block_ijk: Array, first: Array, first_weight: Array, total: Array, mean: Array, instance: int, voxel: float,
-    least_weight: float, least_share: float,
+    slots: Array,
+    block_ijk: Array,
+    first: Array,
+    first_weight: Array,
+    total: Array,
+    mean: Array,
+    instance: int,
+    voxel: float,
+    least_weight: float,
+    least_share: float,
 ) -> tuple[Array, Array]:
-    """The mean points (N, 3) float32 [m] and weights (N,) of the voxels that an instance has won, in the blocks `slots`."""
+    """The mean points (N, 3) float32 [m] and weights (N,) of the voxels that an instance has won, in the blocks
+    `slots`."""
     n = 0
     for at in range(len(slots)):
         s = slots[at]
@@ -257,7 +299,9 @@ def gather(
 
 
 @njit(cache=True)
-def rename(slots: Array, first: Array, first_weight: Array, second: Array, second_weight: Array, old: int, new: int) -> None:
+def rename(
+    slots: Array, first: Array, first_weight: Array, second: Array, second_weight: Array, old: int, new: int
+) -> None:
     """Give the votes for choice `old` to `new` in the blocks `slots`, in place."""
     for at in range(len(slots)):
         s = slots[at]
@@ -273,7 +317,9 @@ def rename(slots: Array, first: Array, first_weight: Array, second: Array, secon
 
 
 @njit(cache=True)
-def blocks_of_choices(table: Array, depth: Array, choices: Array, camera: Array, pose: Array, voxel: float, step: int) -> Array:
+def blocks_of_choices(
+    table: Array, depth: Array, choices: Array, camera: Array, pose: Array, voxel: float, step: int
+) -> Array:
     """Pairs (choice, slot) (K, 2) int64 of the blocks in which pixels with a choice ≠ 0 lie; repeats may remain."""
     height, width = depth.shape
     pairs = np.empty((height * width // (step * step) + 1, 2), dtype=np.int64)

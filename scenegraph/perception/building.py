@@ -52,7 +52,13 @@ class Building:
                 normal = plane.normal[:2] / np.linalg.norm(plane.normal[:2])
                 along = np.array([-normal[1], normal[0]])
                 reach = corners[:, :2] @ along
-                self._lines[str(plane.id)] = (normal, float(plane.centroid[:2] @ normal), along, reach.min(), reach.max())
+                self._lines[str(plane.id)] = (
+                    normal,
+                    float(plane.centroid[:2] @ normal),
+                    along,
+                    reach.min(),
+                    reach.max(),
+                )
                 self._walls.put(str(plane.id), (low, high))
             self._floors.pop(f"plane_{plane.id}", None)
             if label == "floor":
@@ -71,7 +77,8 @@ class Building:
         return None if best is None else best[1:]
 
     def between(self, p: Array, q: Array) -> Passage:
-        """What stands between two points (3,): nothing, a wall, floor or ceiling, or a part of a wall that was not seen.
+        """What stands between two points (3,): nothing, a wall, floor or ceiling, or a part of a wall that was not
+        seen.
 
         Furniture hides the walls behind it: a wall is taken to go on, unseen, wherever it was not seen to be open.
         """
@@ -101,7 +108,8 @@ class Building:
         return bool((self._occupancy.classify(np.stack([at - step, at, at + step])) == FREE).all())
 
     def way_around(self, p: Array, q: Array, limit_m: float) -> tuple[float, float]:
-        """Shortest way from p to q around walls, through observed space only and with unknown passable [m]; inf if longer.
+        """Shortest way from p to q around walls, through observed space only and with unknown passable [m]; inf if
+        longer.
 
         The way is looked for on the ground, at the height of the two points, and pulled taut.
         """
@@ -139,11 +147,11 @@ class Building:
 
     def seen_free(self, points: Array) -> Array:
         """(N,) bool: which points (N, 3) lie in space that was observed to be free."""
-        return self._occupancy.classify(points) == FREE
+        return np.asarray(self._occupancy.classify(points) == FREE)
 
     def occupied(self, points: Array) -> Array:
         """(N,) bool: which points (N, 3) lie in space that was observed to be filled."""
-        return self._occupancy.classify(points) == OCCUPIED
+        return np.asarray(self._occupancy.classify(points) == OCCUPIED)
 
     def _near(self, low: Array, high: Array) -> list[int]:
         return [int(name) for name in self._index.within((low, high), 0.1)]

@@ -14,7 +14,8 @@ Array: TypeAlias = NDArray[Any]
 class GroundGrid:
     """Cells (i, j) of the plane z = 0 of map, each `cell_m` wide, cell (0, 0) at the origin; three values a cell.
 
-    free : bool, room : int32 (0 = none), drawn : bool (an operator drew the room). Cells outside what was covered so far read as False and 0.
+    free : bool, room : int32 (0 = none), drawn : bool (an operator drew the room). Cells
+    outside what was covered so far read as False and 0.
     """
 
     def __init__(self, cell_m: float) -> None:

@@ -38,7 +38,9 @@ class Objects:
         self.labels: dict[str, str] = {}
         self._node_of: dict[int, str] = {}
 
-    def update(self, instances: InstanceMap, change: InstanceChange, graph: SceneGraph) -> tuple[GraphChanges, set[str]]:
+    def update(
+        self, instances: InstanceMap, change: InstanceChange, graph: SceneGraph
+    ) -> tuple[GraphChanges, set[str]]:
         """The changes that bring the graph up to date, and the ids of nodes whose shape is new, changed or gone."""
         changes = GraphChanges()
         reshaped: set[str] = set()
@@ -101,7 +103,8 @@ class Objects:
 
     # -- what an operator states --------------------------------------------------------------------------
     def forget(self, node_id: str, instances: InstanceMap) -> set[str]:
-        """Give up the thing behind a node, so that it does not come back by itself; returns the ids whose shape is gone."""
+        """Give up the thing behind a node, so that it does not come back by itself; returns the ids whose shape is
+        gone."""
         for instance_id, name in list(self._node_of.items()):
             if name == node_id:
                 instances.forget(instance_id)
@@ -114,7 +117,9 @@ class Objects:
         by_name = {name: instance_id for instance_id, name in self._node_of.items()}
         for node in (kept, lost):
             if node not in by_name:
-                raise InvalidStatement(f"merge: {node} is not a thing that was mapped", hint="only objects and openings can be merged")
+                raise InvalidStatement(
+                    f"merge: {node} is not a thing that was mapped", hint="only objects and openings can be merged"
+                )
         if kept == lost:
             raise InvalidStatement(f"merge: {kept} is given twice")
         return instances.join(by_name[kept], by_name[lost])
@@ -152,4 +157,3 @@ def significantly_different(a: Shape, b: Shape) -> bool:
     moved = np.abs(0.5 * (a_low + a_high - b_low - b_high)).max()
     resized = np.abs((a_high - a_low) - (b_high - b_low)).max()
     return bool(moved > MOVED_M or resized > RESIZED_M)
-

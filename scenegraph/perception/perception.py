@@ -123,7 +123,11 @@ class Perception:
     # -- state --------------------------------------------------------------------------------------------
     def document(self) -> dict[str, Any]:
         """What is known besides the graph and the map, as JSON values."""
-        return {"objects": self.objects.document(), "relations": self.relations.document(), "structure": self.structure.document()}
+        return {
+            "objects": self.objects.document(),
+            "relations": self.relations.document(),
+            "structure": self.structure.document(),
+        }
 
     def restore(self, document: Mapping[str, Any], rooms: Mapping[str, Array], graph: SceneGraph) -> None:
         """Take over what `document` and `Rooms.state` gave; the map and the graph have been restored before."""
@@ -151,7 +155,9 @@ class Perception:
         """Shares of the points (N, 3) on a plane that carry each class; what carries no label is left out."""
         labels, _ = self._map.semantics.query(points)
         ids, counts = np.unique(labels[labels > 0], return_counts=True)
-        return {class_atom(self._labels.name(int(i))): n / len(points) for i, n in zip(ids, counts.tolist(), strict=True)}
+        return {
+            class_atom(self._labels.name(int(i))): n / len(points) for i, n in zip(ids, counts.tolist(), strict=True)
+        }
 
     def _room_shares(self, reshaped: set[str], moved_rooms: set[str]) -> MeasurementChange:
         """In which rooms the footprints of things lie, for things and rooms that changed."""

@@ -48,7 +48,8 @@ class Surroundings(Protocol):
         """The floor under a point: its node id and height [m]."""
 
     def between(self, p: Array, q: Array) -> Passage:
-        """What stands between two points (3,): nothing, structure (walls, floors, ceilings), or a wall's unseen part."""
+        """What stands between two points (3,): nothing, structure (walls, floors, ceilings), or a wall's unseen
+        part."""
 
     def way_around(self, p: Array, q: Array, limit_m: float) -> tuple[float, float]:
         """Shortest way from p to q around structure, through observed space only and with unknown passable [m]."""
@@ -98,7 +99,11 @@ class Relations:
         stale: set[tuple[str, ...]] = set()
         for thing in reshaped:
             kept = () if thing not in shapes else ("contact", "footprint_share")
-            stale |= {key for key in self._keys_of[thing] if key[0] not in kept or (key[0] == "contact" and key[1] in reshaped)}
+            stale |= {
+                key
+                for key in self._keys_of[thing]
+                if key[0] not in kept or (key[0] == "contact" and key[1] in reshaped)
+            }
         supports_of: set[str] = set()
         for thing in sorted(reshaped & shapes.keys()):
             mine = shapes[thing]
@@ -119,14 +124,13 @@ class Relations:
 
     def set_shares(self, thing: str, shares: Mapping[str, float]) -> MeasurementChange:
         """Note in which rooms the footprint of a thing lies: room id → share."""
-        fresh = {("footprint_share", thing, room): share for room, share in shares.items()}
+        fresh: dict[tuple[str, ...], float] = {("footprint_share", thing, r): share for r, share in shares.items()}
         stale = {key for key in self._keys_of[thing] if key[0] == "footprint_share"}
         return self._replace(stale, fresh)
 
     def things_in(self, rooms: Iterable[str]) -> set[str]:
         """The things of whose footprint a share lies in one of the rooms, and those that lie around them."""
-        inside = {key[1] for room in rooms for key in self._keys_of.get(room, ()) if key[0] == "footprint_share"}
-        return inside
+        return {key[1] for room in rooms for key in self._keys_of.get(room, ()) if key[0] == "footprint_share"}
 
     @property
     def facts(self) -> MeasurementChange:
@@ -161,7 +165,12 @@ class Relations:
 
     # -- pairs --------------------------------------------------------------------------------------------
     def _measure_pair(
-        self, one: str, two: str, shapes: Mapping[str, Shape], labels: Mapping[str, str], around: Surroundings,
+        self,
+        one: str,
+        two: str,
+        shapes: Mapping[str, Shape],
+        labels: Mapping[str, str],
+        around: Surroundings,
         fresh: dict[tuple[str, ...], float],
     ) -> None:
         a, b = min(one, two), max(one, two)
@@ -187,7 +196,12 @@ class Relations:
                 self._measure_over(upper_thing, lower_thing, shapes, labels, around, fresh)
 
     def _measure_over(
-        self, a: str, b: str, shapes: Mapping[str, Shape], labels: Mapping[str, str], around: Surroundings,
+        self,
+        a: str,
+        b: str,
+        shapes: Mapping[str, Shape],
+        labels: Mapping[str, str],
+        around: Surroundings,
         fresh: dict[tuple[str, ...], float],
     ) -> None:
         over, under = shapes[a], shapes[b]
@@ -239,7 +253,9 @@ class Relations:
         return float(np.mean(~around.seen_free(columns))) >= HIDDEN_SHARE
 
 
-def _first_below(footing: Array, surfaces: list[tuple[float, str, Array]], bottom: float, tolerance: float) -> dict[str, float]:
+def _first_below(
+    footing: Array, surfaces: list[tuple[float, str, Array]], bottom: float, tolerance: float
+) -> dict[str, float]:
     """Each footing column goes to the highest surface under it that is not above `bottom`; shares of those in reach."""
     free = np.ones(len(footing), bool)
     shares: dict[str, float] = {}
@@ -255,7 +271,8 @@ def _first_below(footing: Array, surfaces: list[tuple[float, str, Array]], botto
 
 
 def _surfaces_under(mine: Shape, other: Shape, footing: Array) -> list[tuple[float, Array]]:
-    """The upward surfaces of `other` at most SETTLE_M below the bottom of `mine`: height, and which columns they cover."""
+    """The upward surfaces of `other` at most SETTLE_M below the bottom of `mine`: height, and which columns they
+    cover."""
     tolerance = CONTACT_MARGIN_M + mine.voxel_size_m
     up = other.facing_up
     near = (up[:, 2] <= mine.lowest + tolerance) & (up[:, 2] >= mine.lowest - SETTLE_M)
@@ -311,7 +328,10 @@ def _enclosed(points: Array, b: Shape) -> Array:
     chosen = np.linspace(0, len(points) - 1, min(len(points), MOST_INSIDE)).astype(np.int64)
     local = (points[chosen] - box.center) @ box.rotation
     material = (_some(b.points, MOST_MATERIAL) - box.center) @ box.rotation
-    closed = columns.closed_sides(local, material, 0.75 * b.voxel_size_m * max(1.0, (len(b.points) / MOST_MATERIAL) ** 0.5)) >= 4
+    closed = (
+        columns.closed_sides(local, material, 0.75 * b.voxel_size_m * max(1.0, (len(b.points) / MOST_MATERIAL) ** 0.5))
+        >= 4
+    )
     nearest = np.searchsorted(chosen, np.arange(len(points))).clip(max=len(chosen) - 1)
     return np.asarray(closed[nearest])
 

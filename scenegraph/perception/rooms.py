@@ -32,7 +32,8 @@ BAND_M = (1.0, 1.9)
 HIDDEN_M = 0.7
 """Ground that tall furniture hides belongs to the room before it, up to this depth."""
 NECK_SHARE = 0.72
-"""A passage narrower than this share of the rooms it joins parts them: doors do, and wide openings between wall stubs."""
+"""A passage narrower than this share of the rooms it joins parts them: doors do, and wide openings between wall
+stubs."""
 CORNER_M = 0.15
 """Walls are drawn this much longer at both ends, to meet in the corners."""
 LEAST_ROOM_M2 = 1.2
@@ -42,16 +43,20 @@ STOREY_M = 1.5
 """Floors that differ by less than this in height belong to one storey."""
 SAME_SHARE = 0.3
 """A region is a known room when they share this much of the larger one's ground."""
+FARTHEST_DRAWN_M = 50.0
+"""An operator draws rooms no farther than this from what was mapped: the ground grid is dense."""
 
 
 @dataclass
 class Storey:
-    """The ground of one storey: what is free at standing height and which room it belongs to, and its walls as lines."""
+    """The ground of one storey: what is free at standing height and which room it belongs to, and its walls as
+    lines."""
 
     number: int
     floor_z: float
     ground: GroundGrid = field(default_factory=lambda: GroundGrid(CELL_M))
     walls: dict[int, tuple[float, float, float, float]] = field(default_factory=dict)
+    opened: list[Array] = field(default_factory=list)
 
 
 class Rooms:
@@ -63,7 +68,12 @@ class Rooms:
         self._next = 1
 
     def update(
-        self, occupancy: OccupancyMap, seen: Changed, structure: Iterable[tuple[str, Plane]], graph: SceneGraph, stamp_ns: int
+        self,
+        occupancy: OccupancyMap,
+        seen: Changed,
+        structure: Iterable[tuple[str, Plane]],
+        graph: SceneGraph,
+        stamp_ns: int,
     ) -> tuple[GraphChanges, set[str]]:
         """Changes of the graph, and the ids of rooms whose ground changed.
 
@@ -77,7 +87,8 @@ class Rooms:
         for storey in self.storeys:
             blocks = occupancy.block_ijk if storey in fresh else seen.blocks
             dirty[storey.number] = self._open_ground(storey, occupancy, blocks)
-            dirty[storey.number] += self._move_walls(storey, planes)
+            dirty[storey.number] += self._move_walls(storey, planes) + storey.opened
+            storey.opened = []
         for storey in self.storeys:
             if dirty[storey.number]:
                 corners = np.concatenate(dirty[storey.number])
@@ -128,7 +139,12 @@ class Rooms:
         for label, plane in planes:
             known = storey.walls.get(plane.id)
             line = None
-            if label == "wall" and plane.width_m >= LEAST_WALL_M and plane.z_max > storey.floor_z + BAND_M[0] and plane.z_min < storey.floor_z + BAND_M[1] + 0.5:
+            if (
+                label == "wall"
+                and plane.width_m >= LEAST_WALL_M
+                and plane.z_max > storey.floor_z + BAND_M[0]
+                and plane.z_min < storey.floor_z + BAND_M[1] + 0.5
+            ):
                 line = _ground_line(plane)
             if line is None:
                 if known is not None:
@@ -143,11 +159,20 @@ class Rooms:
         """Planes that are no more."""
         for storey in self.storeys:
             for plane_id in plane_ids:
-                storey.walls.pop(plane_id, None)
+                line = storey.walls.pop(plane_id, None)
+                if line is not None:
+                    storey.opened.append(_line_bounds(line))
 
     # -- rooms --------------------------------------------------------------------------------------------
     def _partition(
-        self, storey: Storey, low: Array, high: Array, graph: SceneGraph, stamp_ns: int, changes: GraphChanges, changed: set[str]
+        self,
+        storey: Storey,
+        low: Array,
+        high: Array,
+        graph: SceneGraph,
+        stamp_ns: int,
+        changes: GraphChanges,
+        changed: set[str],
     ) -> None:
         """Find the rooms anew in the part of the ground that holds the change and every room it reaches."""
         margin = round(HIDDEN_M / CELL_M) + 3
@@ -181,22 +206,35 @@ class Rooms:
                 changed.add(f"room_{room}")
 
     def draw(self, name: str, polygon: list[Any], graph: SceneGraph, stamp_ns: int) -> tuple[GraphChanges, set[str]]:
-        """A room with this outline (corners x, y [m]), drawn by an operator: mapping leaves its ground alone from now on.
+        """A room with this outline (corners x, y [m]), drawn by an operator: mapping leaves its ground alone from now
+        on.
 
         Returns the changes and the ids of the rooms that it touches. Raises `InvalidStatement`.
         """
         try:
             corners = np.array(polygon, dtype=np.float64)
+            if corners.shape[1:] != (2,) or not np.isfinite(corners).all():
+                raise ValueError("expected finite corners [x, y]")
             outline = shapely.Polygon(corners)
         except (ValueError, TypeError) as error:
-            raise InvalidStatement(f"room: the outline is no polygon ({error})", hint="room(name, [[x, y], [x, y], [x, y], …])") from None
-        if corners.shape[1:] != (2,) or not outline.is_valid or outline.area < 0.1:
+            raise InvalidStatement(
+                f"room: the outline is no polygon ({error})", hint="room(name, [[x, y], [x, y], [x, y], …])"
+            ) from None
+        if not outline.is_valid or outline.area < 0.1:
             raise InvalidStatement("room: expected corners [x, y] of a simple polygon of at least 0.1 m²")
         if not self.storeys:
-            raise InvalidStatement("room: no floor has been mapped yet", hint="a room lies on a storey; map some floor first")
+            raise InvalidStatement(
+                "room: no floor has been mapped yet", hint="a room lies on a storey; map some floor first"
+            )
         storey = self.storeys[0]
+        ground_low, ground_high = storey.ground.low * CELL_M, (storey.ground.low + storey.ground.free.shape) * CELL_M
+        if (corners < ground_low - FARTHEST_DRAWN_M).any() or (corners > ground_high + FARTHEST_DRAWN_M).any():
+            raise InvalidStatement(f"room: a corner lies more than {FARTHEST_DRAWN_M:g} m from all that was mapped")
         changes, touched = GraphChanges(), set[str]()
-        low, high = np.floor(corners.min(axis=0) / CELL_M).astype(np.int64), np.floor(corners.max(axis=0) / CELL_M).astype(np.int64)
+        low, high = (
+            np.floor(corners.min(axis=0) / CELL_M).astype(np.int64),
+            np.floor(corners.max(axis=0) / CELL_M).astype(np.int64),
+        )
         window = storey.ground.cover(low, high)
         cells = np.argwhere(np.ones(storey.ground.room[window].shape, bool))
         xy = (cells + low + 0.5) * CELL_M
@@ -262,12 +300,18 @@ class Rooms:
             kernels.draw_segment(barrier, *(np.array(line) / CELL_M - np.tile(low, 2)))
         return barrier
 
-    def _identify(self, labels: Array, before: Array, reached: list[int], changes: GraphChanges, changed: set[str]) -> Array:
+    def _identify(
+        self, labels: Array, before: Array, reached: list[int], changes: GraphChanges, changed: set[str]
+    ) -> Array:
         """Give each region (W, H) the number of the known room with which it shares most ground, or a new one."""
         pairs, shared = np.unique(np.stack([labels, before], axis=2).reshape(-1, 2), axis=0, return_counts=True)
         size = dict(zip(*(a.tolist() for a in np.unique(labels, return_counts=True)), strict=True))
         old_size = dict(zip(*(a.tolist() for a in np.unique(before, return_counts=True)), strict=True))
-        common = [(n / max(size[a], old_size[b]), a, b) for (a, b), n in zip(pairs.tolist(), shared.tolist(), strict=True) if a and b]
+        common = [
+            (n / max(size[a], old_size[b]), a, b)
+            for (a, b), n in zip(pairs.tolist(), shared.tolist(), strict=True)
+            if a and b
+        ]
         room_of: dict[int, int] = {}
         for share, region, room in sorted(common, key=lambda c: (-c[0], c[1], c[2])):
             if share >= SAME_SHARE and region not in room_of and room not in room_of.values():
@@ -288,7 +332,14 @@ class Rooms:
         return renumber[labels]
 
     def _write(
-        self, number: int, storey: Storey, cells: Array, graph: SceneGraph, stamp_ns: int, changes: GraphChanges, name: str | None = None
+        self,
+        number: int,
+        storey: Storey,
+        cells: Array,
+        graph: SceneGraph,
+        stamp_ns: int,
+        changes: GraphChanges,
+        name: str | None = None,
     ) -> None:
         room = f"room_{number}"
         footprint = _outline(cells)
@@ -298,7 +349,11 @@ class Rooms:
         at = footprint.representative_point() if not footprint.contains(footprint.centroid) else footprint.centroid
         height = 2.4
         named = {} if name is None else {"name": name}
-        kept = named if known is None else {k: v for k, v in known.attributes.items() if k in ("name", "type", "type_reason")}
+        kept = (
+            named
+            if known is None
+            else {k: v for k, v in known.attributes.items() if k in ("name", "type", "type_reason")}
+        )
         changes.put(
             Node(
                 id=room,
@@ -306,7 +361,8 @@ class Rooms:
                 label="room" if known is None else known.label,
                 position=(at.x, at.y, storey.floor_z),
                 box=Box(
-                    center=(0.5 * (x0 + x1), 0.5 * (y0 + y1), storey.floor_z + 0.5 * height), size=(x1 - x0, y1 - y0, height)
+                    center=(0.5 * (x0 + x1), 0.5 * (y0 + y1), storey.floor_z + 0.5 * height),
+                    size=(x1 - x0, y1 - y0, height),
                 ),
                 confidence=0.9,
                 first_seen_ns=stamp_ns if known is None else known.first_seen_ns,
@@ -322,7 +378,9 @@ class Rooms:
         )
         if known is None and "building_1" in graph:
             for relation, source, target in (("in", room, "building_1"), ("contains", "building_1", room)):
-                changes.put(Edge(relation=relation, source=source, target=target, first_seen_ns=stamp_ns, last_seen_ns=stamp_ns))
+                changes.put(
+                    Edge(relation=relation, source=source, target=target, first_seen_ns=stamp_ns, last_seen_ns=stamp_ns)
+                )
 
 
 def _into_walls(rooms: Array, barrier: Array) -> Array:
@@ -353,7 +411,9 @@ def _outline(cells: Array) -> shapely.Polygon:
     """The outer border [m] of cells (N, 2) in row order, simplified by half a cell."""
     breaks = np.flatnonzero((np.diff(cells[:, 0]) != 0) | (np.diff(cells[:, 1]) != 1))
     first, last = cells[np.r_[0, breaks + 1]], cells[np.r_[breaks, len(cells) - 1]]
-    runs = shapely.box(first[:, 0] * CELL_M, first[:, 1] * CELL_M, (first[:, 0] + 1) * CELL_M, (last[:, 1] + 1) * CELL_M)
+    runs = shapely.box(
+        first[:, 0] * CELL_M, first[:, 1] * CELL_M, (first[:, 0] + 1) * CELL_M, (last[:, 1] + 1) * CELL_M
+    )
     largest = max(shapely.get_parts(shapely.union_all(runs)), key=lambda part: part.area)
     whole = shapely.Polygon(largest.exterior).buffer(0.5 * CELL_M, join_style="mitre")
     outline: shapely.Polygon = whole.simplify(0.5 * CELL_M)

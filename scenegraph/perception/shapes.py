@@ -16,7 +16,8 @@ Array: TypeAlias = NDArray[Any]
 
 COARSE_CELL_M = 0.06
 CLUSTER_CELL_M = 0.06
-"""Parts of a thing are no farther apart than about two of these; what lies farther is another thing's, mistaken for it."""
+"""Parts of a thing are no farther apart than about two of these; what lies farther is another thing's, mistaken for
+it."""
 EXTREME_SHARE = 0.01
 """Share of the votes that may stick out of a box at the bottom; half of it at the top: outliers of depth and pose."""
 SIDE_SHARE = 0.007
@@ -62,7 +63,8 @@ class Shape:
     @cached_property
     def hull(self) -> Array:
         """Convex ground projection: corners (K, 2), counter-clockwise."""
-        return shapes.convex_hull(self.points[:, :2].astype(np.float64))
+        hull: Array = shapes.convex_hull(self.points[:, :2].astype(np.float64))
+        return hull
 
     @cached_property
     def area(self) -> float:
@@ -81,7 +83,8 @@ class Shape:
     @cached_property
     def rectangle(self) -> tuple[float, float, float, float, float]:
         """Centre x, y, length, width, yaw of the smallest rectangle around the hull."""
-        return shapes.smallest_rectangle(self.hull)
+        x, y, length, width, yaw = shapes.smallest_rectangle(self.hull)
+        return x, y, length, width, yaw
 
     @cached_property
     def box(self) -> Box:
@@ -102,7 +105,8 @@ class Shape:
     @cached_property
     def coarse(self) -> NDArray[np.float32]:
         """(M, 3) some of the points, about one each COARSE_CELL_M."""
-        return self.points[columns.thin_out(self.points, COARSE_CELL_M)]
+        coarse: NDArray[np.float32] = self.points[columns.thin_out(self.points, COARSE_CELL_M)]
+        return coarse
 
     @cached_property
     def _columns(self) -> tuple[Array, Array]:
@@ -114,13 +118,15 @@ class Shape:
         """(E, 3) the points on which something could stand."""
         keys, order = self._columns
         free = columns.facing_up(self.points, keys, order, 1.5 * self.voxel_size_m, HEADROOM_M)
-        return self.points[free]
+        exposed: NDArray[np.float32] = self.points[free]
+        return exposed
 
     @cached_property
     def bottoms(self) -> NDArray[np.float32]:
         """(C, 3) the lowest point of every column."""
         keys, order = self._columns
-        return self.points[columns.column_bottoms(self.points, keys, order)]
+        lowest: NDArray[np.float32] = self.points[columns.column_bottoms(self.points, keys, order)]
+        return lowest
 
     @cached_property
     def footing(self) -> Array:
