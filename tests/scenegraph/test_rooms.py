@@ -1,0 +1,307 @@
+"""Rooms from free ground and walls: doors and wide openings part them, corridors stay whole, ids last."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from mapping.layer import Changed
+from mapping.occupancy import OccupancyMap
+from mapping.planes import Plane
+from scenegraph.errors import InvalidStatement
+from scenegraph.graph import Node, SceneGraph
+from scenegraph.perception.rooms import Rooms
+
+Rectangle = tuple[float, float, float, float]
+"""x0, y0, x1, y1 [m]."""
+FREE_EVIDENCE = -20
+
+
+def wall(
+    number: int, x0: float, y0: float, x1: float, y1: float, z: tuple[float, float] = (0.0, 2.4)
+) -> tuple[str, Plane]:
+    along = np.array([x1 - x0, y1 - y0])
+    length = float(np.linalg.norm(along))
+    u = np.array([*along / length, 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    normal = np.cross(u, up)
+    middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * (z[0] + z[1])])
+    ring = np.array([[x0, y0, z[0]], [x1, y1, z[0]], [x1, y1, z[1]], [x0, y0, z[1]]])
+    return "wall", plane(
+        number, normal, middle, ring, length, (length, z[1] - z[0], 0.01), np.stack([u, up, normal], axis=1)
+    )
+
+
+def floor(number: int, x0: float, y0: float, x1: float, y1: float, z: float = 0.0) -> tuple[str, Plane]:
+    ring = np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]])
+    middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), z])
+    return "floor", plane(number, np.array([0.0, 0.0, 1.0]), middle, ring, x1 - x0, (x1 - x0, y1 - y0, 0.01), np.eye(3))
+
+
+def plane(
+    number: int,
+    normal: np.ndarray,
+    middle: np.ndarray,
+    ring: np.ndarray,
+    width: float,
+    size: Sequence[float],
+    axes: np.ndarray,
+) -> Plane:
+    return Plane(
+        id=number, normal=normal, offset=float(normal @ middle), centroid=middle, rings=(ring,), area_m2=size[0] * size[1],
+        z_min=float(ring[:, 2].min()), z_max=float(ring[:, 2].max()), width_m=width, box_center=middle, box_axes=axes,
+        box_size=np.array(size), n_points=1000, rms_m=0.003,
+    )  # fmt: skip
+
+
+class Home:
+    """Rooms that watch a ground plan being explored, and the graph that they write."""
+
+    def __init__(self) -> None:
+        self.occupancy = OccupancyMap(voxel_size_m=0.05, max_range_m=10.0)
+        self.rooms = Rooms()
+        self.graph = SceneGraph()
+        self.now = 0
+
+    def see(
+        self, *free: Rectangle, structure: Sequence[tuple[str, Plane]] = (), z: tuple[float, float] = (0.9, 2.1)
+    ) -> set[str]:
+        """Free space at standing height over rectangles of ground, and planes. Returns the rooms that changed."""
+        self.now += 1
+        seen = [np.empty((0, 3), np.int32)]
+        for x0, y0, x1, y1 in free:
+            low, high = np.array([x0, y0, z[0]]), np.array([x1, y1, z[1]])
+            centres = np.stack(
+                np.meshgrid(*(np.arange(a + 0.025, b, 0.05) for a, b in zip(low, high, strict=True)), indexing="ij"),
+                axis=-1,
+            ).reshape(-1, 3)
+            blocks = np.unique(np.floor(centres / 0.4).astype(np.int32), axis=0)
+            self.occupancy.store.allocate(blocks)
+            slots, local = self.occupancy.store.locate(centres)
+            self.occupancy.store.fields["evidence"][slots, local] = FREE_EVIDENCE
+            seen.append(blocks)
+        changed_blocks = Changed(np.unique(np.concatenate(seen), axis=0), self.occupancy.block_size_m)
+        changes, changed = self.rooms.update(self.occupancy, changed_blocks, structure, self.graph, self.now)
+        self.graph.commit(changes, self.now)
+        return changed
+
+    def draw(self, name: str, outline: list[list[float]]) -> set[str]:
+        self.now += 1
+        changes, touched = self.rooms.draw(name, outline, self.graph, self.now)
+        self.graph.commit(changes, self.now)
+        return touched
+
+    @property
+    def nodes(self) -> dict[str, Node]:
+        return {node.id: node for node in self.graph.nodes("room")}
+
+    @property
+    def ids(self) -> list[str]:
+        return sorted(self.nodes)
+
+    def at(self, x: float, y: float, z: float = 0.0) -> str | None:
+        shares = self.rooms.shares(np.array([[x, y]]), z)
+        return max(shares, default=None)
+
+    def area(self, room: str) -> float:
+        return float(self.nodes[room].attributes["area_m2"])
+
+
+TWO_WALLS = [
+    floor(1, 0, 0, 8, 4),
+    wall(2, 0, 0, 8, 0),
+    wall(3, 0, 4, 8, 4),
+    wall(4, 0, 0, 0, 4),
+    wall(5, 8, 0, 8, 4),
+    wall(6, 4, 0, 4, 4),
+]
+LEFT, RIGHT = (0.1, 0.1, 3.9, 3.9), (4.1, 0.1, 7.9, 3.9)
+DOORWAY = (3.8, 1.5, 4.2, 2.4)
+
+
+def test_two_rooms_with_a_door_between_them_are_two() -> None:
+    home = Home()
+    home.see(LEFT, RIGHT, DOORWAY, structure=TWO_WALLS)
+    assert len(home.ids) == 2
+    assert home.at(2.0, 2.0) != home.at(6.0, 2.0)
+    for room in home.ids:
+        assert home.area(room) == pytest.approx(16.0, rel=0.12)
+        node = home.nodes[room]
+        assert node.attributes["storey"] == 1
+        assert node.attributes["floor_z"] == 0.0
+
+
+def test_an_open_plan_pair_with_an_opening_of_2_2_m_between_rooms_of_4_m_is_two() -> None:
+    stubs = [wall(6, 4, 0, 4, 0.9), wall(7, 4, 3.1, 4, 4)]
+    home = Home()
+    home.see((0.1, 0.1, 7.9, 3.9), structure=[*TWO_WALLS[:5], *stubs])
+    assert len(home.ids) == 2
+    assert home.at(1.5, 2.0) != home.at(6.5, 2.0)
+    border = [x for x in np.arange(2.0, 6.0, 0.1) if home.at(float(x), 2.0) != home.at(float(x) + 0.1, 2.0)]
+    assert len(border) == 1
+    assert abs(border[0] - 4.0) < 0.3, "they meet in the opening"
+
+
+def test_one_room_with_a_stub_of_wall_stays_one() -> None:
+    home = Home()
+    home.see((0.1, 0.1, 7.9, 3.9), structure=[*TWO_WALLS[:5], wall(6, 4, 0, 4, 0.6)])
+    assert len(home.ids) == 1
+
+
+def test_a_room_full_of_furniture_shadows_is_one() -> None:
+    """Ground that furniture hid from view belongs to the room around it."""
+    home = Home()
+    home.see((0.1, 0.1, 3.9, 1.2), (0.1, 1.8, 3.9, 3.9), (0.1, 0.1, 1.4, 3.9), structure=TWO_WALLS)
+    assert len(home.ids) == 1
+    assert home.at(2.5, 1.5) == home.ids[0]
+
+
+def test_a_corridor_with_three_doors_stays_one() -> None:
+    corridor = (0.1, 0.1, 8.9, 1.4)
+    behind = [(0.1, 1.6, 2.9, 4.4), (3.1, 1.6, 5.9, 4.4), (6.1, 1.6, 8.9, 4.4)]
+    doors = [(x, 1.3, x + 0.9, 1.7) for x in (1.0, 4.0, 7.0)]
+    walls = [
+        floor(1, 0, 0, 9, 4.5), wall(2, 0, 0, 9, 0), wall(3, 0, 1.5, 9, 1.5), wall(4, 0, 4.5, 9, 4.5), wall(5, 0, 0, 0, 4.5),
+        wall(6, 3, 1.5, 3, 4.5), wall(7, 6, 1.5, 6, 4.5), wall(8, 9, 0, 9, 4.5),
+    ]  # fmt: skip
+    home = Home()
+    home.see(corridor, *behind, *doors, structure=walls)
+    assert len(home.ids) == 4
+    assert len({home.at(x, 0.7) for x in np.arange(0.3, 8.8, 0.3)}) == 1
+    assert len({home.at(x, 3.0) for x in (1.5, 4.5, 7.5)}) == 3
+
+
+def test_an_l_shaped_room_of_even_width_is_one() -> None:
+    home = Home()
+    home.see((0.1, 0.1, 5.9, 2.4), (0.1, 0.1, 2.4, 5.9), structure=[floor(1, 0, 0, 6, 6)])
+    assert len(home.ids) == 1
+
+
+def test_ids_last_when_more_is_seen() -> None:
+    home = Home()
+    home.see((0.1, 0.1, 2.0, 3.9), structure=TWO_WALLS)
+    first = home.at(1.0, 2.0)
+    home.see((2.0, 0.1, 3.9, 3.9))
+    assert home.at(1.0, 2.0) == home.at(3.0, 2.0) == first
+    home.see(RIGHT, DOORWAY)
+    second = home.at(6.0, 2.0)
+    assert home.at(1.0, 2.0) == first != second
+    for _ in range(3):
+        home.see(LEFT, RIGHT, DOORWAY)
+    assert home.ids == sorted([first, second])  # type: ignore[list-item]
+    assert home.nodes[first].first_seen_ns == 1  # type: ignore[index]
+
+
+def test_a_wall_that_is_found_later_parts_a_room_and_the_larger_part_keeps_its_id() -> None:
+    home = Home()
+    home.see((0.1, 0.1, 4.9, 3.9), (4.9, 0.1, 7.9, 3.9), structure=TWO_WALLS[:5])
+    [whole] = home.ids
+    home.see(structure=[wall(6, 5, 0, 5, 4)])
+    assert len(home.ids) == 2
+    assert home.at(2.0, 2.0) == whole
+    [other] = set(home.ids) - {whole}
+    home.rooms.forget_walls([6])
+    home.see((4.0, 0.1, 6.0, 3.9), structure=[wall(5, 8, 0, 8, 3.5)])
+    assert home.ids == [whole], "and has it still when the wall was none"
+    assert home.graph.tombstone(other).became == whole  # type: ignore[union-attr]
+
+
+def test_what_is_not_touched_stays_as_it_is() -> None:
+    """A change in one room writes nothing about a room far away."""
+    far = (20.1, 0.1, 23.9, 3.9)
+    home = Home()
+    home.see(LEFT, far, structure=[*TWO_WALLS, wall(7, 20, 0, 20, 4), wall(8, 20, 0, 24, 0)])
+    before = home.nodes[home.at(22.0, 2.0)]  # type: ignore[index]
+    changed = home.see(RIGHT)
+    assert before.id not in changed
+    assert home.nodes[before.id] == before
+
+
+def test_two_storeys_are_two() -> None:
+    home = Home()
+    home.see(LEFT, structure=TWO_WALLS)
+    up = [floor(11, 0, 0, 8, 4, z=2.7), wall(12, 4, 0, 4, 4, z=(2.7, 5.1))]
+    home.see(LEFT, structure=up, z=(3.6, 4.8))
+    assert len(home.ids) == 2
+    assert home.at(2.0, 2.0, 0.4) != home.at(2.0, 2.0, 3.1)
+    assert sorted(home.nodes[r].attributes["storey"] for r in home.ids) == [1, 2]
+
+
+def test_without_a_floor_there_is_no_room() -> None:
+    home = Home()
+    home.see(LEFT, structure=TWO_WALLS[1:])
+    assert home.ids == []
+    assert home.at(2.0, 2.0) is None
+
+
+# -- rooms that an operator draws --------------------------------------------------------------------------------------
+
+
+def test_a_drawn_room_survives_mapping_on() -> None:
+    home = Home()
+    home.see((0.1, 0.1, 7.9, 3.9), structure=TWO_WALLS[:5])
+    [old] = home.ids
+    touched = home.draw("office", [[4.0, 0.0], [8.0, 0.0], [8.0, 4.0], [4.0, 4.0]])
+    office = home.at(6.0, 2.0)
+    assert office not in (None, old)
+    assert touched == {old, office}
+    assert home.at(2.0, 2.0) == old
+    assert home.nodes[office].attributes["name"] == "office"  # type: ignore[index]
+    assert home.area(office) == pytest.approx(16.0, rel=0.1)  # type: ignore[arg-type]
+    for _ in range(3):
+        home.see((0.1, 0.1, 7.9, 3.9), structure=[wall(5, 8, 0, 8, 3.5 + 0.2 * home.now)])
+    assert home.at(6.0, 2.0) == office
+    assert home.at(2.0, 2.0) == old
+    assert home.ids == sorted([old, office])  # type: ignore[list-item]
+
+
+def test_a_drawn_room_takes_the_place_of_one_that_it_covers() -> None:
+    home = Home()
+    home.see(LEFT, structure=TWO_WALLS)
+    [old] = home.ids
+    home.draw("hall", [[-0.5, -0.5], [4.5, -0.5], [4.5, 4.5], [-0.5, 4.5]])
+    assert old not in home.ids
+    assert home.graph.tombstone(old).became == home.at(2.0, 2.0)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    "outline",
+    [
+        [[0.0, 0.0], [1.0, 0.0]],
+        [[0.0, 0.0], [2.0, 2.0], [2.0, 0.0], [0.0, 2.0]],
+        [[0.0, 0.0], [0.1, 0.0], [0.1, 0.1]],
+        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]],
+        [["a", "b"], ["c", "d"], ["e", "f"]],
+        [],
+        [[0.0, 0.0], [float("nan"), 1.0], [1.0, 1.0]],
+        [[0.0, 0.0], [1e9, 0.0], [1e9, 1e9], [0.0, 1e9]],
+    ],
+)
+def test_an_outline_that_is_no_room_is_refused(outline: list[list[float]]) -> None:
+    home = Home()
+    home.see(LEFT, structure=TWO_WALLS)
+    before = home.nodes
+    with pytest.raises(InvalidStatement, match="room"):
+        home.draw("bad", outline)
+    assert home.nodes == before
+
+
+def test_a_room_cannot_be_drawn_before_a_floor_is_known() -> None:
+    with pytest.raises(InvalidStatement, match="no floor"):
+        Home().draw("office", [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
+
+
+def test_rooms_come_back_from_their_state() -> None:
+    home = Home()
+    home.see(LEFT, RIGHT, DOORWAY, structure=TWO_WALLS)
+    home.draw("office", [[4.0, 0.0], [8.0, 0.0], [8.0, 4.0], [4.0, 4.0]])
+    ids, office = home.ids, home.at(6.0, 2.0)
+    home.rooms, state = Rooms(), home.rooms.state()
+    home.rooms.restore({name: np.array(array) for name, array in state.items()}, home.graph)
+    assert home.at(6.0, 2.0) == office
+    home.see(LEFT, RIGHT, DOORWAY)
+    assert home.ids == ids
+    home.see((10.1, 0.1, 13.9, 3.9))
+    assert home.at(12.0, 2.0) not in (None, *ids), "a number is given once"
