@@ -50,7 +50,7 @@ FARTHEST_DRAWN_M = 50.0
 @dataclass
 class Storey:
     """The ground of one storey: what is free at standing height and which room it belongs to, and its walls as
-    lines."""
+    lines; `opened` holds the bounds of walls that are no more, until the ground there is looked at again."""
 
     number: int
     floor_z: float
