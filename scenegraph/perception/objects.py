@@ -45,7 +45,11 @@ class Objects:
         changes = GraphChanges()
         reshaped: set[str] = set()
         for lost, kept in change.merged.items():
-            self._bury(lost, self._node_of.get(kept), changes, reshaped)
+            if lost in self._node_of and kept not in self._node_of:
+                self._node_of[kept] = self._node_of.pop(lost)  # the older instance had no node yet: the node lives on
+                reshaped.add(self._node_of[kept])
+            else:
+                self._bury(lost, self._node_of.get(kept), changes, reshaped)
         for instance_id in sorted(change.touched - change.merged.keys()):
             self._refresh(instances, instance_id, graph, changes, reshaped)
         return changes, reshaped

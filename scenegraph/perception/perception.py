@@ -13,6 +13,7 @@ from mapping.observations import AgentPose
 from scenegraph.errors import InvalidStatement
 from scenegraph.facts import class_atom
 from scenegraph.graph import Box, GraphChanges, Node, SceneGraph
+from scenegraph.graph.delta import NodeDeletion
 from scenegraph.labels import Labels
 from scenegraph.perception.building import Building
 from scenegraph.perception.objects import Objects
@@ -57,6 +58,7 @@ class Perception:
         room_changes, moved_rooms = self.rooms.update(self._map.occupancy, seen.occupancy, labelled, graph, stamp_ns)
         changes.extend(room_changes)
 
+        _keep_told(changes, graph)
         measured = self.relations.update(self.objects.shapes, self.objects.labels, reshaped, self.building)
         measured.merge(self._room_shares(reshaped, moved_rooms))
         self._meaning.infer(changes, measured, reshaped | moved_rooms, graph, source, stamp_ns)
@@ -171,3 +173,13 @@ class Perception:
 
 def _with(node: Node, **attributes: Any) -> Node:
     return node.replace(attributes={**node.attributes, **attributes})
+
+
+def _keep_told(changes: GraphChanges, graph: SceneGraph) -> None:
+    """Let nodes that are written anew keep the attributes of which perception knows nothing: what operators set."""
+    gone = {step.id for step in changes.steps if isinstance(step, NodeDeletion)}
+    for step in changes.steps:
+        if isinstance(step, Node) and step.id in graph and step.id not in gone:
+            told = {k: v for k, v in graph.node(step.id).attributes.items() if k not in step.attributes}
+            if told:
+                changes.put(_with(step, **told))

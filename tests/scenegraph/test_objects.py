@@ -1,0 +1,174 @@
+"""Instances become nodes that keep their id, whatever becomes of their instance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mapping.instances import Instance, InstanceChange
+from scenegraph.errors import InvalidStatement
+from scenegraph.graph import SceneGraph
+from scenegraph.perception.objects import LEAST_VIEWS, Objects
+from tests.support.furnishing import VOXEL, box, surface
+
+CLASSES = ["cup", "table", "door"]
+
+
+class Seen:
+    """An instance map that is told what it holds."""
+
+    voxel_size_m = VOXEL
+
+    def __init__(self) -> None:
+        self.instances: dict[int, Instance] = {}
+        self.surface: dict[int, np.ndarray] = {}
+        self.forgotten: list[int] = []
+
+    def put(
+        self, number: int, label: str, points: np.ndarray, views: int = 5, now: int = 10, wrong: float = 0.0
+    ) -> None:
+        known = self.instances.setdefault(number, Instance(number, now, now))
+        known.views, known.last_seen_ns = views, now
+        known.labels = {CLASSES.index(label) + 1: 1.0 - wrong, 1 + (CLASSES.index(label) + 1) % 3: wrong}
+        self.surface[number] = points.astype(np.float32)
+
+    def points(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        return self.surface[number], np.ones(len(self.surface[number]), np.float32)
+
+    def forget(self, number: int) -> None:
+        self.forgotten.append(number)
+        del self.instances[number], self.surface[number]
+
+    def join(self, kept: int, lost: int) -> InstanceChange:
+        self.surface[kept] = np.concatenate([self.surface[kept], self.surface.pop(lost)])
+        del self.instances[lost]
+        return InstanceChange(frozenset({kept}), {lost: kept})
+
+
+class Watching:
+    def __init__(self) -> None:
+        self.seen = Seen()
+        self.objects = Objects(lambda number: CLASSES[number - 1], lambda label: label == "door")
+        self.graph = SceneGraph()
+        self.now = 0
+
+    def update(self, *touched: int, merged: dict[int, int] | None = None) -> set[str]:
+        change = InstanceChange(frozenset(touched), merged or {})
+        changes, reshaped = self.objects.update(self.seen, change, self.graph)  # type: ignore[arg-type]
+        self.now += 1
+        self.graph.commit(changes, self.now)
+        return reshaped
+
+
+CUBE = surface(box((0.3, 0.2, 0.2)))
+
+
+@pytest.fixture
+def world() -> Watching:
+    watching = Watching()
+    watching.seen.put(1, "table", CUBE)
+    watching.update(1)
+    return watching
+
+
+def test_a_thing_becomes_a_node_with_its_box(world: Watching) -> None:
+    node = world.graph.node("object_1")
+    assert (node.layer, node.label) == ("object", "table")
+    assert node.box is not None
+    assert node.box.size == pytest.approx([0.3, 0.2, 0.2], abs=0.01)
+    assert node.box.center == pytest.approx([0.0, 0.0, 0.1], abs=0.01)
+    assert (node.first_seen_ns, node.last_seen_ns) == (10, 10)
+
+
+@pytest.mark.parametrize(("views", "points"), [(LEAST_VIEWS - 1, CUBE), (9, CUBE[:3])])
+def test_what_was_hardly_seen_is_no_node_yet(views: int, points: np.ndarray) -> None:
+    world = Watching()
+    world.seen.put(1, "cup", points, views=views)
+    assert world.update(1) == set()
+    assert world.graph.nodes("object") == []
+
+
+def test_confidence_grows_with_views_and_falls_with_disagreement(world: Watching) -> None:
+    def confidence(views: int, wrong: float) -> float:
+        world.seen.put(1, "table", CUBE, views=views, wrong=wrong)
+        world.update(1)
+        return float(world.graph.node("object_1").confidence)
+
+    assert confidence(3, 0.0) < confidence(5, 0.0) == 1.0
+    assert confidence(9, 0.4) == pytest.approx(0.6)
+
+
+def test_noise_does_not_move_a_thing_and_motion_does(world: Watching) -> None:
+    world.seen.put(1, "table", CUBE + 0.004, now=20)
+    assert world.update(1) == set()
+    assert world.graph.node("object_1").box.center == pytest.approx([0.0, 0.0, 0.1], abs=0.003)  # type: ignore[union-attr]
+    assert world.graph.node("object_1").last_seen_ns == 20
+    world.seen.put(1, "table", CUBE + 0.05, now=30)
+    assert world.update(1) == {"object_1"}
+    assert world.graph.node("object_1").box.center == pytest.approx([0.05, 0.05, 0.15], abs=0.003)  # type: ignore[union-attr]
+
+
+def test_a_merged_thing_leaves_a_tombstone_that_says_what_became_of_it(world: Watching) -> None:
+    world.seen.put(2, "table", CUBE + (0.3, 0.0, 0.0))
+    world.update(2)
+    world.seen.join(1, 2)
+    assert world.update(1, merged={2: 1}) == {"object_1", "object_2"}
+    assert [n.id for n in world.graph.nodes("object")] == ["object_1"]
+    assert world.graph.tombstone("object_2").became == "object_1"  # type: ignore[union-attr]
+    assert world.graph.node("object_1").box.size[0] == pytest.approx(0.6, abs=0.01)  # type: ignore[union-attr]
+
+
+def test_a_node_lives_on_when_its_instance_is_merged_into_an_older_one_without_a_node() -> None:
+    world = Watching()
+    world.seen.put(1, "table", CUBE, views=1)
+    world.seen.put(2, "table", CUBE + (0.3, 0.0, 0.0))
+    world.update(1, 2)
+    assert [n.id for n in world.graph.nodes("object")] == ["object_2"]
+    world.seen.join(1, 2)
+    world.seen.instances[1].views = 6
+    world.update(1, merged={2: 1})
+    assert [n.id for n in world.graph.nodes("object")] == ["object_2"], "identity lasts"
+    assert world.graph.node("object_2").box.size[0] == pytest.approx(0.6, abs=0.01)  # type: ignore[union-attr]
+
+
+def test_a_door_is_structure_and_a_thing_that_turns_out_to_be_one_changes_its_layer(world: Watching) -> None:
+    world.seen.put(1, "door", CUBE)
+    world.update(1)
+    assert "object_1" not in world.graph
+    assert world.graph.node("opening_1").layer == "structure"
+    world.seen.put(1, "table", CUBE)
+    world.update(1)
+    [node] = world.graph.nodes("object")
+    assert node.id not in ("object_1", "opening_1"), "an id that died is not given again"
+
+
+def test_a_new_class_is_told_even_where_the_shape_stays(world: Watching) -> None:
+    world.seen.put(1, "cup", CUBE)
+    assert world.update(1) == {"object_1"}
+    assert world.graph.node("object_1").label == "cup"
+    assert world.objects.labels["object_1"] == "cup"
+
+
+def test_a_forgotten_thing_is_gone_from_every_list(world: Watching) -> None:
+    assert world.objects.forget("object_1", world.seen) == {"object_1"}  # type: ignore[arg-type]
+    assert world.seen.forgotten == [1]
+    assert world.objects.shapes == world.objects.labels == {}
+    assert world.objects.document() == []
+    assert world.objects.forget("room_1", world.seen) == set()  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("pair", [("object_1", "object_1"), ("object_1", "room_1"), ("plane_3", "object_1")])
+def test_only_two_different_things_can_be_joined(world: Watching, pair: tuple[str, str]) -> None:
+    with pytest.raises(InvalidStatement, match="merge"):
+        world.objects.join(*pair, world.seen)  # type: ignore[arg-type]
+
+
+def test_things_come_back_from_their_document(world: Watching) -> None:
+    world.seen.put(2, "cup", CUBE + 1.0)
+    world.update(2)
+    again = Objects(lambda number: CLASSES[number - 1], lambda label: label == "door")
+    again.restore(world.objects.document(), world.seen, world.graph)  # type: ignore[arg-type]
+    assert again.labels == world.objects.labels
+    assert again.shapes.keys() == world.objects.shapes.keys()
+    world.objects = again
+    assert world.update(1, 2) == set(), "nothing has changed"
