@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -52,10 +53,12 @@ class Printer:
     def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         """A table; numbers are set to the right."""
         rows = [tuple(row) for row in rows]
-        table = Table(title=title or None, title_justify="left", title_style="bold", min_width=len(title))
+        table = Table(
+            title=Text(title) if title else None, title_justify="left", title_style="bold", min_width=len(title)
+        )
         for i, column in enumerate(columns):
             numbers = bool(rows) and all(isinstance(row[i], int | float) for row in rows)
-            table.add_column(column, justify="right" if numbers else "left", overflow="fold")
+            table.add_column(Text(column), justify="right" if numbers else "left", overflow="fold")
         for row in rows:
             table.add_row(*(cell if isinstance(cell, Text) else Text(shown(cell)) for cell in row))
         self.out.print(table)
@@ -63,9 +66,12 @@ class Printer:
     def truth(self, truth: str, note: str = "") -> None:
         self.out.print(Text(truth, style=TRUTH_STYLES.get(truth, "")).append(note, style="default"), soft_wrap=True)
 
-    def explanation(self, explanation: Mapping[str, Any]) -> None:
-        """A proof tree: what holds by which rule, with the measured values and their thresholds."""
-        self.out.print(_tree(explanation))
+    def explanation(self, explanation: Mapping[str, Any], *, brief: bool = False) -> None:
+        """A proof tree: what holds by which rule, with the measured values and their thresholds.
+
+        brief   without the facts behind measured values
+        """
+        self.out.print(_tree(explanation, brief))
 
     def answers(self, answers: Any, rows: Sequence[Mapping[str, Any]], why: Mapping[str, Any] | None) -> None:
         """The truth, the bindings as a table, and the proof tree when it was asked for."""
@@ -78,16 +84,16 @@ class Printer:
         if why is not None:
             self.explanation(why)
 
-    def place(self, place: Any) -> None:
-        """Each reading of a phrase: its nodes, its region, and the poses to stand at."""
+    def place(self, place: Any, *, corners: bool = True) -> None:
+        """Each reading of a phrase: its nodes, its region (all corners, or its extent), and the poses to stand at."""
         self.truth(place.truth, f"   {place.phrase}")
         for number, answer in enumerate(place.answers, start=1):
             region = answer.region
             about = ", ".join(getattr(node, "id", str(node)) for node in answer.nodes)
             self.line(f"{number}. {about}")
             if region is not None:
-                corners = " ".join(f"({x:.2f}, {y:.2f})" for x, y in region.polygon)
-                self.line(f"   region {corners}, {region.z_min:.2f} … {region.z_max:.2f} m")
+                ring = " ".join(f"({x:.2f}, {y:.2f})" for x, y in region.polygon) if corners else _extent(region)
+                self.line(f"   region {ring}, z {region.z_min:.2f} … {region.z_max:.2f} m")
             if answer.poses:
                 self.table(
                     "   where to stand", ("x [m]", "y [m]", "yaw [°]", "clearance [m]", "way [m]"), _poses(answer)
@@ -246,6 +252,11 @@ def plain_status(target: Any) -> dict[str, Any]:
     return told.model_dump(mode="json") if hasattr(told, "model_dump") else dict(told)
 
 
+def _extent(region: Any) -> str:
+    x, y = zip(*region.polygon, strict=True)
+    return f"of {len(x)} corners, x {min(x):.2f} … {max(x):.2f}, y {min(y):.2f} … {max(y):.2f}"
+
+
 def _poses(answer: Any) -> Iterator[tuple[Any, ...]]:
     for goal in answer.poses:
         x, y = goal.pose.translation[:2]
@@ -253,7 +264,7 @@ def _poses(answer: Any) -> Iterator[tuple[Any, ...]]:
         yield round(float(x), 2), round(float(y), 2), round(yaw), round(goal.clearance_m, 2), goal.path_length_m
 
 
-def _tree(explanation: Mapping[str, Any]) -> Tree:
+def _tree(explanation: Mapping[str, Any], brief: bool) -> Tree:
     truth = str(explanation.get("truth", ""))
     head = Text(f"{truth} ", style=TRUTH_STYLES.get(truth, "")).append(
         str(explanation.get("goal", "")), style="default"
@@ -261,11 +272,27 @@ def _tree(explanation: Mapping[str, Any]) -> Tree:
     if explanation.get("rule"):
         head.append(f"   [{explanation['rule']}]", style="dim")
     tree = Tree(head)
-    for test in explanation.get("tests") or ():
-        words = (test.get("measurement"), "=", test.get("value"), test.get("comparison"), test.get("threshold"))
-        tree.add(Text(" ".join(shown(word) for word in words if word is not None), style="cyan"))
-    for fact in explanation.get("evidence") or ():
-        tree.add(Text(str(fact), style="dim"))
+    tests = explanation.get("tests") or ()
+    for test in tests:
+        tree.add(Text(_test(test), style="cyan"))
+    for fact in () if brief and tests else explanation.get("evidence") or ():
+        tree.add(Text(_fact(fact), style="dim"))
     for child in explanation.get("children") or ():
-        tree.children.append(_tree(child))
+        tree.children.append(_tree(child, brief))
     return tree
+
+
+def _fact(fact: Any) -> str:
+    """A ground fact, its numbers rounded."""
+    return re.sub(r"\d+\.\d{5,}", lambda number: f"{float(number[0]):.4g}", str(fact).strip('"'))
+
+
+def _test(test: Mapping[str, Any]) -> str:
+    """A comparison: `gap = 0.31 m =< 0.5 m (near_distance)`."""
+    unit = " m" if test.get("unit") == "metre" else ""
+    told = f"{test.get('measurement')} = {shown(test.get('value'))}{unit}"
+    limit, name = test.get("threshold"), test.get("threshold_name")
+    if limit is None or test.get("comparison") == "=":
+        return told
+    named = "" if name in (None, "nothing") else f" ({shown(name)})"
+    return f"{told} {test.get('comparison')} {shown(limit)}{unit}{named}"

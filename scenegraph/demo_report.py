@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from scenegraph import console
 from scenegraph.exporting import write_text
 
@@ -135,14 +137,14 @@ class Shown:
         if answers.problem is not None:
             self._printer.problem(answers.problem.code, answers.problem.message, answers.problem.hint)
         if why is not None:
-            self._printer.explanation({**why, "children": why["children"][:1]} if rows else why)
+            self._printer.explanation({**why, "children": why["children"][:1]} if rows else why, brief=True)
 
     def place(self, place: Any) -> None:
         """Where a phrase leads to."""
         self._kept["where"] = console.plain_place(place)
         if not self._printer.json:
             self._printer.line(f'\nWhere is "{place.phrase}", and where can the robot stand there?', "bold")
-            self._printer.place(place)
+            self._printer.place(place, corners=False)
 
     # -- the end -----------------------------------------------------------------------------------------------
     def truth(self, told: Mapping[str, Any]) -> None:
@@ -187,6 +189,8 @@ def reason_in_words(reason: str) -> str:
 
 
 def _area(node: Node) -> float:
+    if "area_m2" not in node.attributes and node.box is not None:
+        return float(np.prod(np.sort(node.box.size)[1:]))
     return float(node.attributes.get("area_m2", 0.0))
 
 

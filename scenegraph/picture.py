@@ -7,10 +7,10 @@ the camera are left out (as in a doll's house), and so is what lies above the ce
 from __future__ import annotations
 
 import colorsys
-import hashlib
 import math
 import warnings
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from scenegraph.errors import PictureError
 from scenegraph.graph import Box, Node, SceneGraph
+from scenegraph.lettering import Lettering
 from scenegraph.viewpoint import Points, Surface, View, rows
 
 if TYPE_CHECKING:
@@ -33,6 +34,11 @@ _DASHED = (0, (4, 3))
 _WAY = "#1446c8"
 _WALL = "#30343a"
 _DOOR = "#d9720b"
+_WINDOW = "#3a9ad9"
+_MAPPED = "#00612e"
+_DPI = 130
+_WRONG = "#d60000"
+_AGREE_M = 0.5  # a true thing is lettered as missing when nothing of its label was mapped so near
 
 
 def draw(
@@ -64,26 +70,30 @@ def draw(
     surface = Surface.of(points, colors, normals)
     path_points = None if trajectory is None else _trajectory(trajectory)
     things = list(truth) if truth is not None else []
-    low, high = _extent(graph, surface, path_points, [box for _, box in things])
-    ceiling = _ceiling(graph, high)
-    views = _views(low, np.array([*high[:2], min(high[2], ceiling)]))
-    figure = Figure(figsize=(20, 1.2 + 9.6 * views[0].height / views[0].width), dpi=130, layout="constrained")
+    every = _extent(graph, surface, path_points, [box for _, box in things])
+    ceiling = _ceiling(graph, float(every[:, 2].max()))
+    every[:, 2] = np.minimum(every[:, 2], ceiling)
+    views = View.from_above(every), View.in_perspective(every)
+    widths = [view.width for view in views]
+    figure = Figure(
+        figsize=((sum(widths) + 140) / _DPI, (views[0].height + 150) / _DPI), dpi=_DPI, layout="constrained"
+    )
     FigureCanvasAgg(figure)
-    top, perspective = figure.subplots(1, 2)
+    top, perspective = figure.subplots(1, 2, width_ratios=widths)
     for axes, view in zip((top, perspective), views, strict=True):
         axes.imshow(view.splat(surface.below(ceiling)), extent=(0, view.width, view.height, 0), interpolation="none")
-        _draw_rooms(axes, view, graph, low[2])
-        _draw_structure(axes, view, graph)
-        _draw_objects(axes, view, graph)
-        _draw_truth(axes, view, things)
-        _draw_agents(axes, view, graph, path_points)
+        sheet = _Sheet(axes, view, Lettering(view.width, view.height, _DPI / 72))
+        _draw_rooms(sheet, graph, float(every[:, 2].min()))
+        _draw_structure(sheet, graph)
+        _draw_agents(sheet, graph, path_points)
+        _draw_things(sheet, graph, things)
         axes.set_xlim(0, view.width)
         axes.set_ylim(view.height, 0)
         axes.set_aspect("equal")
         axes.set_xticks([])
         axes.set_yticks([])
-    _draw_scale(top, views[0], low, high)
-    top.set_title("from above", fontsize=11)
+    _draw_scale(top, views[0], every.min(axis=0), every.max(axis=0))
+    top.set_title("from above, x and y in metres", fontsize=11)
     perspective.set_title("in perspective", fontsize=11)
     _legend(figure, graph, truth is not None, path_points is not None)
     figure.suptitle(_title(graph, title), fontsize=13, parse_math=False)
@@ -109,27 +119,29 @@ def _trajectory(given: ArrayLike) -> Points:
     return array[np.isfinite(array).all(axis=1)]
 
 
-def _extent(graph: SceneGraph, surface: Surface, path: Points | None, boxes: Sequence[Box]) -> tuple[Points, Points]:
-    """Low and high corner of all there is to see, stray samples left out."""
+def _extent(graph: SceneGraph, surface: Surface, path: Points | None, boxes: Sequence[Box]) -> Points:
+    """Points (N, 3) that surround all there is to see, stray samples left out."""
     corners = [box.corners() for box in boxes]
     for node in graph:
         corners.append(node.position[None] if node.box is None else node.box.corners())
         corners += [np.column_stack([ring, np.full(len(ring), node.position[2])]) for ring in _footprint(node)]
     if len(surface.points):
-        corners.append(np.percentile(surface.points, [0.2, 99.8], axis=0))
+        low, high = np.percentile(surface.points, [0.2, 99.8], axis=0)
+        some = surface.points[:: max(1, len(surface.points) // 20_000)]
+        corners.append(some[((some >= low) & (some <= high)).all(axis=1)])
     if path is not None and len(path):
         corners.append(path)
-    if not corners:
-        return np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0])
-    every = np.vstack(corners)
+    every = np.vstack([part for part in corners if len(part)] or [np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]])])
     low, high = every.min(axis=0), every.max(axis=0)
-    return low - 0.1, np.maximum(high, low + 0.5) + 0.1
+    if float(np.min((high - low)[:2])) < 1.0:  # a metre at least
+        every = np.vstack([every, (low + high) / 2 - 0.5, (low + high) / 2 + 0.5])
+    return every
 
 
-def _ceiling(graph: SceneGraph, high: Points) -> float:
+def _ceiling(graph: SceneGraph, high: float) -> float:
     """Height above which nothing is drawn: just under the ceilings (their median); without one, all is drawn."""
     ceilings = [node.position[2] for node in graph.nodes("structure", "ceiling")]
-    return float(np.median(ceilings)) - 0.15 if ceilings else float(high[2])
+    return float(np.median(ceilings)) - 0.15 if ceilings else high
 
 
 def _footprint(node: Node) -> list[Points]:
@@ -153,27 +165,44 @@ def _numbers(given: Any) -> Points | None:
     return array if array.ndim == 2 and np.isfinite(array).all() else None
 
 
-def _views(low: Points, high: Points) -> tuple[View, View]:
-    """Both cameras, with pictures of one size."""
-    top, perspective = View.from_above(low, high), View.in_perspective(low, high)
-    height = max(top.height, perspective.height)
-    return top.as_high_as(height), perspective.as_high_as(height)
-
-
 # -- what is drawn over the surface -----------------------------------------------------------------------------------
 
 
-def _lines(axes: Axes, view: View, segments: Sequence[Points], **style: Any) -> None:
-    from matplotlib.collections import LineCollection
+@dataclass(frozen=True)
+class _Sheet:
+    """One panel: what is drawn at map points, and the places that its labels take."""
 
-    if segments:
-        ends = np.array([len(segment) for segment in segments]).cumsum()[:-1]
-        axes.add_collection(LineCollection(np.split(view.project(np.vstack(segments))[:, :2], ends), **style))
+    axes: Axes
+    view: View
+    lettering: Lettering
+
+    def lines(self, segments: Sequence[Points], *, halo: bool = False, **style: Any) -> None:
+        """Polylines through map points; `halo`: with a white seam, to be seen on any ground."""
+        from matplotlib.collections import LineCollection
+
+        if segments:
+            ends = np.array([len(segment) for segment in segments]).cumsum()[:-1]
+            drawn = LineCollection(np.split(self.view.project(np.vstack(segments))[:, :2], ends), **style)
+            if halo:
+                drawn.set_path_effects([_halo(2.2)])
+            self.axes.add_collection(drawn)
+
+    def text(self, at: ArrayLike, text: str, points: float, **style: Any) -> None:
+        """A label for a map point: there, or near it with a line that leads there."""
+        u, v, _ = self.view.project(np.asarray(at)[None])[0]
+        x, y = self.lettering.place(u, v, text, points)
+        if math.hypot(x - u, y - v) > 1.3 * points * _DPI / 72:
+            self.axes.plot([u, x], [v, y], color=style.get("color"), linewidth=0.4, alpha=0.8)
+        style.setdefault("path_effects", [_halo(1.8)])
+        self.axes.text(
+            x, y, text, fontsize=points, ha="center", va="center", parse_math=False, clip_on=True, zorder=5, **style
+        )
 
 
-def _text(axes: Axes, view: View, at: ArrayLike, text: str, **style: Any) -> None:
-    u, v, _ = view.project(np.asarray(at)[None])[0]
-    axes.text(u, v, text, ha="center", va="center", parse_math=False, clip_on=True, **style)
+def _halo(width: float) -> Any:
+    from matplotlib.patheffects import withStroke
+
+    return withStroke(linewidth=width, foreground="white")
 
 
 def _box_lines(box: Box) -> list[Points]:
@@ -181,85 +210,84 @@ def _box_lines(box: Box) -> list[Points]:
     return [corners[[a, b]] for a, b in _BOX_EDGES]
 
 
-def _draw_rooms(axes: Axes, view: View, graph: SceneGraph, floor: float) -> None:
+def _draw_rooms(sheet: _Sheet, graph: SceneGraph, floor: float) -> None:
     for number, room in enumerate(graph.nodes("room")):
         color = colorsys.hsv_to_rgb((0.09 + number * 0.382) % 1.0, 0.55, 0.85)
         z = room.box.center[2] - room.box.size[2] / 2 if room.box is not None else floor + 0.1
         for ring in _footprint(room):
-            outline = np.column_stack([ring, np.full(len(ring), z)])
-            uv = view.project(outline)[:, :2]
-            axes.fill(uv[:, 0], uv[:, 1], facecolor=(*color, 0.16), edgecolor=color, linewidth=1.6)
-        name = room.attributes.get("name") or room.attributes.get("type") or room.label
-        at = [*room.position[:2], z]
-        box = {"facecolor": "white", "alpha": 0.6, "edgecolor": color, "boxstyle": "round,pad=0.2"}
-        _text(axes, view, at, f"{name}\n{room.id}", fontsize=8, color="#333333", bbox=box, zorder=1.5)
+            uv = sheet.view.project(np.column_stack([ring, np.full(len(ring), z)]))[:, :2]
+            sheet.axes.fill(uv[:, 0], uv[:, 1], facecolor=(*color, 0.16), edgecolor=color, linewidth=1.6)
+        name = str(room.attributes.get("name") or room.attributes.get("type") or room.label).replace("_", " ")
+        frame = {"facecolor": "white", "alpha": 0.75, "edgecolor": color, "boxstyle": "round,pad=0.2"}
+        sheet.text([*room.position[:2], z], f"{name}\n{room.id}", 8, color="#222222", bbox=frame, path_effects=[])
 
 
-def _draw_structure(axes: Axes, view: View, graph: SceneGraph) -> None:
+def _draw_structure(sheet: _Sheet, graph: SceneGraph) -> None:
     styles: dict[str, dict[str, Any]] = {
         "door": {"colors": _DOOR, "linewidths": 2.0},
+        "window": {"colors": _WINDOW, "linewidths": 1.6},
         "floor": {"colors": "#7d8a70", "linewidths": 0.6},
         "ceiling": {},
-        "no_feature": {"colors": "#9a9a9a", "linewidths": 0.5, "linestyles": "dotted"},
+        "no_feature": {},
     }
     wall = {"colors": _WALL, "linewidths": 1.2}
     for node in graph.nodes("structure"):
         style = styles.get(node.label, wall)
         rings = _rings(node)
         if style and rings:
-            _lines(axes, view, [np.vstack([ring, ring[:1]]) for ring in rings], **style)
+            sheet.lines([np.vstack([ring, ring[:1]]) for ring in rings], **style)
         elif style and node.box is not None:
-            _lines(axes, view, _box_lines(node.box), **style)
-        if node.label == "door":
-            _text(axes, view, node.position, node.id, fontsize=5, color="#8a4300")
+            sheet.lines(_box_lines(node.box), **style)
 
 
-def _draw_objects(axes: Axes, view: View, graph: SceneGraph) -> None:
-    from matplotlib.patheffects import withStroke
-
-    halo = [withStroke(linewidth=1.6, foreground="white")]
-    for node in graph.nodes("object"):
-        color = _class_color(node.label)
-        if node.box is not None:
-            _lines(axes, view, _box_lines(node.box), colors=[color], linewidths=0.9)
-        short = node.id.removeprefix("object_")
-        text = f"{node.attributes.get('name') or node.label} {short}"
-        _text(axes, view, node.position, text, fontsize=5.5, color=color, path_effects=halo)
-
-
-def _class_color(label: str) -> tuple[float, float, float]:
-    """The same dark colour for the same class in every picture."""
-    hue = hashlib.blake2b(label.encode(), digest_size=2).digest()
-    return colorsys.hsv_to_rgb(int.from_bytes(hue, "big") / 65536, 0.9, 0.6)
-
-
-def _draw_truth(axes: Axes, view: View, truth: Sequence[tuple[str, Box]]) -> None:
+def _draw_things(sheet: _Sheet, graph: SceneGraph, truth: Sequence[tuple[str, Box]]) -> None:
+    """Mapped boxes solid, true ones dashed; letters for what is mapped, and for what is there but was not mapped."""
+    mapped = sorted(graph.nodes("object"), key=lambda node: 0.0 if node.box is None else -float(np.prod(node.box.size)))
+    boxes = [line for node in mapped if node.box is not None for line in _box_lines(node.box)]
+    sheet.lines(boxes, halo=True, colors=_MAPPED, linewidths=0.9)
     edges = [line for _, box in truth for line in _box_lines(box)]
-    _lines(axes, view, edges, colors=_TRUTH, linewidths=0.6, linestyles=_DASHED)
+    sheet.lines(edges, colors=_TRUTH, linewidths=0.7, linestyles=_DASHED)
+    for node in mapped:
+        name = str(node.attributes.get("name") or node.label).replace("_", " ")
+        wrong = bool(truth) and not any(_agree(node, label, box) for label, box in truth)
+        sheet.text(_top(node), name, 6, color=_WRONG if wrong else _MAPPED)
+    for label, box in truth:
+        if not any(_agree(node, label, box) for node in mapped):
+            sheet.text(box.center, label.replace("_", " "), 6, color=_TRUTH, style="italic")
 
 
-def _draw_agents(axes: Axes, view: View, graph: SceneGraph, path: Points | None) -> None:
+def _agree(node: Node, label: str, box: Box) -> bool:
+    return node.label == label and float(np.linalg.norm(node.position - box.center)) <= _AGREE_M
+
+
+def _top(node: Node) -> Points:
+    """Where an object's label points at: the middle of its upper side."""
+    rise = 0.0 if node.box is None else float(np.ptp(node.box.corners()[:, 2])) / 2
+    at: Points = node.position + np.array([0.0, 0.0, rise])
+    return at
+
+
+def _draw_agents(sheet: _Sheet, graph: SceneGraph, path: Points | None) -> None:
     if path is not None and len(path) > 1:
-        _lines(axes, view, [path], colors=_WAY, linewidths=1.0, alpha=0.7)
+        sheet.lines([path], colors=_WAY, linewidths=1.0, alpha=0.3 if sheet.view.focal else 0.7)
     for agent in graph.nodes("agent"):
-        u, v, _ = view.project(agent.position[None])[0]
-        axes.plot(u, v, marker="o", color=_WAY, markersize=6)
+        u, v, _ = sheet.view.project(agent.position[None])[0]
+        sheet.axes.plot(u, v, marker="o", color=_WAY, markersize=6)
         if agent.box is not None:
             ahead = agent.position + 0.5 * agent.box.rotation[:, 0]
-            _lines(axes, view, [np.array([agent.position, ahead])], colors=_WAY, linewidths=2.5)
-        _text(axes, view, agent.position + np.array([0, 0, 0.25]), agent.id, fontsize=6, color=_WAY)
+            sheet.lines([np.array([agent.position, ahead])], colors=_WAY, linewidths=2.5)
+        name = str(agent.attributes.get("name") or agent.id)
+        sheet.text(agent.position + np.array([0, 0, 0.25]), name, 7, color=_WAY)
 
 
 def _draw_scale(axes: Axes, view: View, low: Points, high: Points) -> None:
-    """Map coordinates along the top view's edges, and a bar of a round length."""
+    """Map coordinates along the top view's edges."""
     step = next(s for s in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 1e9) if float(np.max((high - low)[:2])) / s <= 14)
     for axis, place in ((0, axes.set_xticks), (1, axes.set_yticks)):
         marks = np.arange(math.ceil(low[axis] / step), math.floor(high[axis] / step) + 1) * step
         points = np.tile(low, (len(marks), 1))
         points[:, axis] = marks
         place(view.project(points)[:, axis], [f"{mark:g}" for mark in marks])
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
 
 
 def _legend(figure: Figure, graph: SceneGraph, with_truth: bool, with_path: bool) -> None:
@@ -268,11 +296,25 @@ def _legend(figure: Figure, graph: SceneGraph, with_truth: bool, with_path: bool
     entries = [
         Line2D([], [], color=_WALL, linewidth=1.2, label="wall"),
         Line2D([], [], color=_DOOR, linewidth=2, label="door"),
+        Line2D([], [], color=_WINDOW, linewidth=1.6, label="window"),
     ]
     if graph.nodes("object"):
-        entries.append(Line2D([], [], color="#7a2222", linewidth=0.9, label="object, as mapped (colour: class)"))
+        entries.append(Line2D([], [], color=_MAPPED, linewidth=0.9, label="object as mapped"))
     if with_truth:
-        entries.append(Line2D([], [], color=_TRUTH, linewidth=0.8, linestyle=_DASHED, label="truth"))
+        entries.append(
+            Line2D(
+                [],
+                [],
+                color=_TRUTH,
+                linewidth=0.8,
+                linestyle=_DASHED,
+                label="truth (lettered: nothing such was mapped there)",
+            )
+        )
+    if with_truth:
+        entries.append(
+            Line2D([], [], color=_WRONG, marker="s", markersize=5, linewidth=0, label="mapped, nothing such is there")
+        )
     if with_path:
         entries.append(Line2D([], [], color=_WAY, linewidth=1, label="way of the robot"))
     figure.legend(handles=entries, loc="outside lower center", ncols=len(entries), fontsize=9, frameon=False)

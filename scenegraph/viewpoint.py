@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,8 @@ Colors = NDArray[np.uint8]
 
 _BACKGROUND = np.array([250, 250, 248], np.uint8)
 _MAX_POINTS = 2_000_000
-_WIDTH = 1200  # of a picture, pixels
+_HEIGHT = 1200  # of a picture, pixels
+_ASPECT = (0.7, 1.8)  # width of a picture, of its height
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,39 +101,40 @@ class View:
     height: int
 
     @classmethod
-    def from_above(cls, low: Points, high: Points) -> View:
-        """A parallel camera above the box from low to high: x to the right, y up."""
+    def from_above(cls, points: ArrayLike, height: int = _HEIGHT) -> View:
+        """A parallel camera above points (N, 3): x to the right, y up."""
+        p = rows("points", points)
+        low, high = p.min(axis=0), p.max(axis=0)
         rotation = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
-        return cls._fitted(rotation, np.array([*(low + high)[:2] / 2, high[2] + 1.0]), False, low, high)
+        return cls._fitted(rotation, np.array([*(low + high)[:2] / 2, high[2] + 1.0]), False, p, height)
 
     @classmethod
-    def in_perspective(cls, low: Points, high: Points) -> View:
-        """A camera south-south-west of the box from low to high, looking down on it."""
-        azimuth, elevation = math.radians(-118.0), math.radians(48.0)
+    def in_perspective(cls, points: ArrayLike, height: int = _HEIGHT) -> View:
+        """A camera south-south-west of points (N, 3), looking down on them."""
+        p = rows("points", points)
+        low, high = p.min(axis=0), p.max(axis=0)
+        azimuth, elevation = math.radians(-118.0), math.radians(52.0)
         back = np.array(
             [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
         )
         right = np.cross([0.0, 0.0, 1.0], back)
         right /= np.linalg.norm(right)
         rotation = np.array([right, np.cross(right, back), -back])
-        return cls._fitted(rotation, (low + high) / 2 + back * 1.6 * np.linalg.norm(high - low), True, low, high)
+        eye = (low + high) / 2 + back * 1.6 * np.linalg.norm(high - low)
+        return cls._fitted(rotation, eye, True, p, height)
 
     @classmethod
-    def _fitted(cls, rotation: Points, eye: Points, focal: bool, low: Points, high: Points) -> View:
-        """The camera whose picture, `_WIDTH` wide, is just filled by the box from low to high."""
+    def _fitted(cls, rotation: Points, eye: Points, focal: bool, points: Points, height: int) -> View:
+        """The camera whose picture, so many pixels high, is just filled by the points; wide as it must be for that."""
         view = cls(rotation, eye, 1.0, np.zeros(2), focal, 1, 1)
-        corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
-        uv = view.project(corners)[:, :2]
-        size = uv.max(axis=0) - uv.min(axis=0)
-        aspect = float(np.clip(size[1] / size[0], 0.5, 1.1))
-        frame = np.array([_WIDTH, round(_WIDTH * aspect)])
+        uv = view.project(points)[:, :2]
+        low, high = uv.min(axis=0), uv.max(axis=0)
+        size = np.maximum(high - low, 1e-3)
+        aspect = float(np.clip(size[0] / size[1], *_ASPECT))
+        frame = np.array([round(height * aspect), height])
         scale = 0.96 * float(np.min(frame / size))
-        offset = frame / 2 - scale * (uv.max(axis=0) + uv.min(axis=0)) / 2
-        return cls(rotation, eye, scale, offset, focal, int(frame[0]), int(frame[1]))
-
-    def as_high_as(self, height: int) -> View:
-        """The same picture with room above and below."""
-        return replace(self, height=height, offset=self.offset + np.array([0.0, (height - self.height) / 2]))
+        offset = frame / 2 - scale * (high + low) / 2
+        return cls(rotation, eye, scale, offset, focal, int(frame[0]), height)
 
     def project(self, points: ArrayLike) -> Points:
         """(N, 3) map points → (N, 3): picture u, v and depth [m]."""

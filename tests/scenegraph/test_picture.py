@@ -12,6 +12,7 @@ from scenegraph.picture import draw
 from scenegraph.viewpoint import Surface, View
 
 LOW, HIGH = np.array([-1.0, 2.0, 0.0]), np.array([5.0, 6.0, 2.5])
+CORNERS = np.array([(x, y, z) for x in (-1.0, 5.0) for y in (2.0, 6.0) for z in (0.0, 2.5)])
 SEEN = {"first_seen_ns": 0, "last_seen_ns": 1}
 
 
@@ -76,6 +77,19 @@ def test_a_home_is_drawn_with_its_surface_its_truth_and_the_way(tmp_path: Path) 
         assert ((panel[..., 1] > 150) & (panel[..., 0] < 90)).sum() > 5000
 
 
+def test_what_is_missing_and_what_is_wrong_is_lettered_so(tmp_path: Path) -> None:
+    red = (214, 0, 0)
+    at, size = (1, 4, 0.5), (0.5, 0.8, 1)
+    right = draw(
+        home(),
+        tmp_path / "right.png",
+        truth=[("$x_1$ 椅子\n", Box(center=at, size=size)), ("", Box(center=(3, 4, 0.5), size=size))],
+    )
+    wrong = draw(home(), tmp_path / "wrong.png", truth=[("cup", Box(center=at, size=size))])
+    amount = [int((np.abs(pixels(path) - red).max(axis=2) < 40).sum()) for path in (right, wrong)]
+    assert amount[1] > amount[0] + 50
+
+
 def test_an_empty_world_is_a_picture_too(tmp_path: Path) -> None:
     picture = pixels(draw(SceneGraph(), tmp_path / "empty.png"))
     assert picture.shape[1] > picture.shape[0] > 500
@@ -98,7 +112,7 @@ def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
 
 
 def test_from_above_x_goes_right_y_goes_up_and_metres_stay_metres() -> None:
-    view = View.from_above(LOW, HIGH)
+    view = View.from_above(CORNERS)
     origin, right, up, above = view.project([[0, 3, 1], [1, 3, 1], [0, 4, 1], [0, 3, 2]])
     np.testing.assert_allclose((right - origin)[:2], [view.scale, 0], atol=1e-9)
     np.testing.assert_allclose((up - origin)[:2], [0, -view.scale], atol=1e-9)
@@ -107,7 +121,7 @@ def test_from_above_x_goes_right_y_goes_up_and_metres_stay_metres() -> None:
 
 @pytest.mark.parametrize("make", [View.from_above, View.in_perspective])
 def test_everything_in_the_box_is_in_the_picture(make) -> None:  # type: ignore[no-untyped-def]
-    view = make(LOW, HIGH)
+    view = make(CORNERS)
     points = LOW + np.random.default_rng(0).random((500, 3)) * (HIGH - LOW)
     uvz = view.project(points)
     assert (uvz[:, :2] >= 0).all()
@@ -123,7 +137,7 @@ def test_nearer_samples_hide_farther_ones_like_the_naive_reference() -> None:
     points = LOW + random.random((300, 3)) * (HIGH - LOW)
     colors = random.integers(0, 255, (300, 3), dtype=np.uint8)
     surface = Surface(points, colors, np.zeros((300, 3)), spacing_m=0.05)
-    view = View.in_perspective(LOW, HIGH)
+    view = View.in_perspective(CORNERS)
     expected = np.tile(np.array([250, 250, 248], np.uint8), (view.height, view.width, 1))
     for i in np.argsort(-view.project(points)[:, 2]):
         u, v, depth = view.project(points[i][None])[0]
@@ -134,7 +148,7 @@ def test_nearer_samples_hide_farther_ones_like_the_naive_reference() -> None:
 
 
 def test_a_wall_seen_from_behind_is_left_out() -> None:
-    view = View.in_perspective(LOW, HIGH)
+    view = View.in_perspective(CORNERS)
     point = (LOW + HIGH)[None] / 2
     towards = view.eye - point
     green = np.array([GREEN], np.uint8)
