@@ -22,7 +22,7 @@ Array: TypeAlias = NDArray[Any]
 
 _NO_COLOR = read_only(np.empty((0, 0, 3), np.uint8))
 _NO_COLORS = np.empty((0, 0, 3), np.uint16)
-_CHUNK = 1024  # blocks sampled at once: bounds the memory of `surface`
+_CHUNK = 256  # blocks sampled at once: bounds the memory of `surface`
 
 
 class TsdfMap(MapLayer):
@@ -38,6 +38,9 @@ class TsdfMap(MapLayer):
                     what has gone goes from the map (a block that is made later missed what was seen before: this
                     depends on the order of images); otherwise only the band about the surface is updated
     with_color      keep colours from the beginning; otherwise from the first image that has any
+
+    Measurements count little from two voxels behind their surface on, so that the sides of a thing two voxels thick
+    stay apart; thinner things are beyond this layer.
 
     Updates are weighted sums: without `carve` their order does not matter until `max_weight`. Raises
     `InvalidParameter` on bad values.
@@ -67,6 +70,7 @@ class TsdfMap(MapLayer):
         self.max_weight = require("max_weight", max_weight, 0.0, 1e6)
         self.carve = bool(carve)
         self.store = BlockStore({"distance": np.float32, "weight": np.float32}, size)
+        self._samples = np.empty((_CHUNK, BLOCK_VOXELS, 6), np.float32)  # scratch of `surface`
         if with_color:
             self._keep_color()
 
@@ -92,7 +96,7 @@ class TsdfMap(MapLayer):
     def integrate(self, p_sensor: ArrayLike, T_map_sensor: SE3 | ArrayLike) -> Changed:
         """Fuse a cloud without an image: each beam updates the voxels that it crosses within the truncation of its end.
 
-        `p_sensor` is (N, 3) [m] in the sensor frame. Every beam has weight 1. Returns the blocks changed.
+        `p_sensor` is (N, 3) [m] in the sensor frame. Every beam counts the same. Returns the blocks changed.
         """
         pose = as_pose(T_map_sensor, "T_map_sensor")
         ends = as_points(p_sensor, "p_sensor")
@@ -153,7 +157,7 @@ class TsdfMap(MapLayer):
         fields = self.store.fields
         inverse_square = self.weighting == "inverse_square"
         tsdf.fuse_image(
-            fields["distance"], fields["weight"], fields.get("color", _NO_COLORS), slots, blocks, size, tau, size,
+            fields["distance"], fields["weight"], fields.get("color", _NO_COLORS), slots, blocks, size, tau,
             self.carve, inverse_square, self.max_weight, view.reach, view.camera, image, changed,
         )  # fmt: skip
         return self._note(slots[changed])
@@ -180,7 +184,7 @@ class TsdfMap(MapLayer):
         fields = self.store.fields
         parts = []
         counts = np.empty(len(blocks), np.int64)
-        samples = np.empty((min(len(blocks), _CHUNK), BLOCK_VOXELS, 6), np.float32)
+        samples = self._samples
         for first in range(0, len(blocks), _CHUNK):
             chunk = slice(first, first + _CHUNK)
             surface.sample_surface(

@@ -20,8 +20,20 @@ Array: TypeAlias = NDArray[Any]
 Int: TypeAlias = Any
 Float: TypeAlias = Any
 
+BEHIND = 0.02
+"""Weight of a distance far behind the surface: enough where nothing else is known."""
 COLOR_STEPS = 256.0
 """Colours are kept in 1/256 of an 8-bit step, so that running means do not stick."""
+
+
+@njit(cache=True, inline="always")
+def trust(voxels: Float) -> Float:
+    """The weight of a signed distance [voxels]: 1 up to one voxel behind the surface, BEHIND from two on.
+
+    What lies behind a surface is a guess. It must be there for the surface to lie between voxels, and it must yield
+    where the thing is seen from its other side, or both sides of a thin thing push each other apart.
+    """
+    return min(np.float32(1.0), max(np.float32(2.0) + voxels, np.float32(BEHIND)))
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -56,7 +68,6 @@ def fuse_image(
     blocks: Array,
     voxel_size: Float,
     truncation: Float,
-    drop_off: Float,
     carve: bool,
     inverse_square: bool,
     max_weight: Float,
@@ -69,7 +80,6 @@ def fuse_image(
 
     distance, weight : (capacity, 512) float32 [m], [-]
     color            : (capacity, 512, 3) uint16 in 1/256 of a step, or empty
-    drop_off         : depth behind the surface [m] from which on the weight falls to 0 at `truncation`
     carve            : whether voxels farther before the surface than `truncation` are updated too
     image            : (H, W, 3) uint8, or empty
     changed          : (n,) bool, filled
@@ -78,7 +88,7 @@ def fuse_image(
     zero = np.float32(0.0)
     one = np.float32(1.0)
     tau = np.float32(truncation)
-    slope = np.float32(1.0 / max(truncation - drop_off, 1e-9))
+    per_voxel = np.float32(1.0 / voxel_size)
     front = np.float32(np.inf) if carve else tau
     highest = np.float32(max_weight)
     colored = image.shape[0] > 0
@@ -100,7 +110,7 @@ def fuse_image(
         for w in range(512):
             new = min(s[w], tau)
             gain = one / (max(z[w], np.float32(0.5)) ** 2) if inverse_square else one
-            gain = gain * min(one, (tau + new) * slope)
+            gain = gain * trust(new * per_voxel)
             gains[w] = gain
             old, had = distance[slot, w], weight[slot, w]
             total = had + gain
@@ -144,7 +154,7 @@ def sum_beams(
 
     origin, ends   : (3,), (m, 3) [m, map]; beams longer than `max_range` are left out
     table          : hash of the scan's blocks, index → row; blocks (room, 3) int32, of which `n_blocks` are in use
-    sums, weights  : (room, 512) float32, for each voxel Σ distance along the beam [m] and the number of beams
+    sums, weights  : (room, 512) float32, for each voxel Σ weight · distance along the beam [m] and Σ weight
     Begins at beam `start`; returns (beam to go on with when room ran out or m, number of blocks).
     """
     per_voxel = 1.0 / voxel_size
@@ -193,8 +203,9 @@ def sum_beams(
                 new = min(length - along, truncation)
                 if new > -truncation:
                     local = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
-                    sums[row, local] += new
-                    weights[row, local] += 1.0
+                    gain = trust(np.float32(new * per_voxel))
+                    sums[row, local] += gain * new
+                    weights[row, local] += gain
             if min(t0, t1, t2) > length + truncation:
                 if not first_pass:
                     break
@@ -221,7 +232,7 @@ def sum_beams(
 def fold_sums(
     distance: Array, weight: Array, slots: Array, sums: Array, weights: Array, max_weight: Float, changed: Array
 ) -> None:
-    """Fold Σ distance and Σ weight (n, 512) of one scan into the running means of the blocks in `slots`, in place."""
+    """Fold Σ weight · distance and Σ weight (n, 512) of one scan into the running means of the blocks in `slots` (n,)."""
     highest = np.float32(max_weight)
     for n in prange(slots.shape[0]):
         slot = slots[n]
