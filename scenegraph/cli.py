@@ -82,8 +82,10 @@ Connect = Annotated[
 ]
 WorldName = Annotated[str, typer.Option("--world", metavar="NAME", help="The name of the world that is served.")]
 Robot = Annotated[str | None, typer.Option(help="The robot from whose place it is meant.")]
-VoxelSize = Annotated[float | None, typer.Option("--voxel-size-m", help="Edge of a voxel [m]; default by the sensor.")]
-MaxRange = Annotated[float | None, typer.Option("--max-range-m", help="Nothing is mapped beyond [m].")]
+VoxelSize = Annotated[
+    float | None, typer.Option("--voxel-size-m", help="Edge of a voxel in metres; default by the sensor.")
+]
+MaxRange = Annotated[float | None, typer.Option("--max-range-m", help="Nothing is mapped beyond so many metres.")]
 
 
 def main() -> None:
@@ -115,7 +117,7 @@ def serve(
     config: Annotated[Path | None, typer.Option(help="World configuration, TOML or JSON.")] = None,
     voxel_size_m: VoxelSize = None,
     max_range_m: MaxRange = None,
-    save_every_s: Annotated[float, typer.Option(help="With --store: save at least that often [s].")] = 60.0,
+    save_every_s: Annotated[float, typer.Option(help="With --store: save at least that often, in seconds.")] = 60.0,
     as_json: Json = False,
 ) -> None:
     """Serve a world until interrupted."""
@@ -225,7 +227,7 @@ def ask(
     world: WorldName = "home",
     robot: Robot = None,
     limit: Annotated[int, typer.Option(min=1, help="At most so many answers.")] = 100,
-    timeout_s: Annotated[float, typer.Option(help="Give up after so long [s].")] = 1.0,
+    timeout_s: Annotated[float, typer.Option(help="Give up after so many seconds.")] = 1.0,
     explain: Annotated[bool, typer.Option("--explain", help="Say why, or why not.")] = False,
     as_json: Json = False,
 ) -> None:

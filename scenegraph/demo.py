@@ -46,9 +46,7 @@ class Question:
 QUESTIONS = (
     Question("What is near the oven?", "near(X, oven)"),
     Question("What does a cup stand on?", "on(cup, Y)"),
-    Question(
-        "What is on a table in the kitchen, and not near the oven?", "in(X, kitchen), on(X, table), \\+ near(X, oven)"
-    ),
+    Question("What on a table in the kitchen is not near the oven?", "in(X, kitchen), on(X, table), \\+ near(X, oven)"),
     Question("Is there an umbrella near a bed? (None was ever seen.)", "near(umbrella, bed)"),
     Question("What in the kitchen is left of the oven, as the robot sees it?", "left_of(X, oven), in(X, kitchen)"),
 )

@@ -233,11 +233,21 @@ def _draw_structure(sheet: _Sheet, graph: SceneGraph) -> None:
     wall = {"colors": _WALL, "linewidths": 1.2}
     for node in graph.nodes("structure"):
         style = styles.get(node.label, wall)
+        if _turned_away(node, sheet.view):
+            continue
         rings = _rings(node)
         if style and rings:
             sheet.lines([np.vstack([ring, ring[:1]]) for ring in rings], **style)
         elif style and node.box is not None:
             sheet.lines(_box_lines(node.box), **style)
+
+
+def _turned_away(node: Node, view: View) -> bool:
+    """Whether a camera in perspective sees the back of a wall, which is left out of the surface too."""
+    normal = node.attributes.get("normal")
+    if not view.focal or node.label == "door" or not isinstance(normal, list | tuple) or len(normal) != 3:
+        return False
+    return float((view.eye - node.position) @ np.asarray(normal, dtype=np.float64)) < 0
 
 
 def _draw_things(sheet: _Sheet, graph: SceneGraph, truth: Sequence[tuple[str, Box]]) -> None:
