@@ -89,14 +89,11 @@ class Mesh:
             file.write(faces.tobytes())
 
 
-def extract_mesh(tsdf: TsdfMap, *, min_weight: float = 0.0) -> Mesh:
-    """The zero surface of a signed distance map by marching cubes: each vertex once, with normal and colour.
-
-    min_weight : voxels of less weight count as unknown
-    """
+def extract_mesh(tsdf: TsdfMap) -> Mesh:
+    """The zero surface of a signed distance map by marching cubes: each vertex once, with normal and colour."""
     blocks = as_blocks(tsdf.block_ijk)
     fields = tsdf.store.fields
-    field = (tsdf.store.table, fields["distance"], fields["weight"], float(min_weight))
+    field = (tsdf.store.table, fields["distance"], fields["weight"])
     numbers = np.empty((len(blocks), BLOCK_VOXELS, 3), np.int32)
     counts = np.empty(len(blocks), np.int64)
 

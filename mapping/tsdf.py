@@ -173,12 +173,12 @@ class TsdfMap(MapLayer):
         return values
 
     def surface(
-        self, block_ijk: ArrayLike | None = None, *, min_weight: float = 0.0
+        self, block_ijk: ArrayLike | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
         """One sample of the surface a voxel that it crosses, in the blocks (K, 3) asked for (default all).
 
         Returns points (N, 3) float32 [m], unit normals (N, 3) float32 into free space, and for each point the row (N,)
-        of its block in `block_ijk`. Voxels of a weight below `min_weight` count as unknown.
+        of its block in `block_ijk`.
         """
         blocks = as_blocks(self.block_ijk if block_ijk is None else block_ijk)
         fields = self.store.fields
@@ -188,7 +188,7 @@ class TsdfMap(MapLayer):
         for first in range(0, len(blocks), _CHUNK):
             chunk = slice(first, first + _CHUNK)
             surface.sample_surface(
-                self.store.table, fields["distance"], fields["weight"], self.voxel_size_m, min_weight, self.max_jump_m,
+                self.store.table, fields["distance"], fields["weight"], self.voxel_size_m, self.max_jump_m,
                 blocks[chunk], samples, counts[chunk],
             )  # fmt: skip
             of_chunk = counts[chunk]
@@ -204,8 +204,8 @@ class TsdfMap(MapLayer):
         """
         return 1.5 * self.truncation_m
 
-    def mesh(self, *, min_weight: float = 0.0) -> Mesh:
+    def mesh(self) -> Mesh:
         """The surface as triangles; see `mapping.mesh`."""
         from mapping.mesh import extract_mesh
 
-        return extract_mesh(self, min_weight=min_weight)
+        return extract_mesh(self)

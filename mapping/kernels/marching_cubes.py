@@ -77,7 +77,6 @@ def number_vertices(
     table: Array,
     distance: Array,
     weight: Array,
-    min_weight: Float,
     voxel_size: Float,
     max_jump: Float,
     blocks: Array,
@@ -95,7 +94,7 @@ def number_vertices(
     """
     for n in prange(blocks.shape[0]):
         padded = np.empty((10, 10, 10), np.float32)
-        pad_block(table, distance, weight, min_weight, blocks[n, 0], blocks[n, 1], blocks[n, 2], padded)
+        pad_block(table, distance, weight, blocks[n, 0], blocks[n, 1], blocks[n, 2], padded)
         number = firsts[n]
         for w in range(512):
             i, j, k = 1 + (w >> 6), 1 + ((w >> 3) & 7), 1 + (w & 7)
@@ -119,7 +118,6 @@ def join_triangles(
     table: Array,
     distance: Array,
     weight: Array,
-    min_weight: Float,
     blocks: Array,
     rows: Array,
     numbers: Array,
@@ -136,7 +134,7 @@ def join_triangles(
     """
     for n in prange(blocks.shape[0]):
         padded = np.empty((10, 10, 10), np.float32)
-        pad_block(table, distance, weight, min_weight, blocks[n, 0], blocks[n, 1], blocks[n, 2], padded)
+        pad_block(table, distance, weight, blocks[n, 0], blocks[n, 1], blocks[n, 2], padded)
         around = np.empty(8, np.int64)
         for side in range(8):
             around[side] = lookup(

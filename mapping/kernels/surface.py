@@ -16,15 +16,12 @@ Float: TypeAlias = Any
 
 
 @njit(cache=True)
-def pad_block(
-    table: Array, distance: Array, weight: Array, min_weight: Float, bi: Int, bj: Int, bk: Int, padded: Array
-) -> None:
+def pad_block(table: Array, distance: Array, weight: Array, bi: Int, bj: Int, bk: Int, padded: Array) -> None:
     """Copy block (bi, bj, bk) and one voxel of its neighbours all round into `padded` (10, 10, 10) float32, in place.
 
-    Voxels of weight 0 or below `min_weight` become NaN.
+    Voxels of weight 0 become NaN.
     """
     nothing = np.float32(np.nan)
-    least = np.float32(min_weight)
     for di in range(-1, 2):
         i0, i1 = (0, 1) if di < 0 else ((1, 9) if di == 0 else (9, 10))
         for dj in range(-1, 2):
@@ -39,8 +36,7 @@ def pad_block(
                                 padded[i, j, k] = nothing
                             else:
                                 local = ((i - 1) & 7) << 6 | ((j - 1) & 7) << 3 | ((k - 1) & 7)
-                                w = weight[slot, local]
-                                known = w > np.float32(0.0) and w >= least
+                                known = weight[slot, local] > np.float32(0.0)
                                 padded[i, j, k] = distance[slot, local] if known else nothing
 
 
@@ -50,7 +46,6 @@ def sample_surface(
     distance: Array,
     weight: Array,
     voxel_size: Float,
-    min_weight: Float,
     max_jump: Float,
     blocks: Array,
     samples: Array,
@@ -64,7 +59,7 @@ def sample_surface(
     """
     for n in prange(blocks.shape[0]):
         padded = np.empty((10, 10, 10), np.float32)
-        pad_block(table, distance, weight, min_weight, blocks[n, 0], blocks[n, 1], blocks[n, 2], padded)
+        pad_block(table, distance, weight, blocks[n, 0], blocks[n, 1], blocks[n, 2], padded)
         base0, base1, base2 = 8.0 * blocks[n, 0] - 0.5, 8.0 * blocks[n, 1] - 0.5, 8.0 * blocks[n, 2] - 0.5
         count = 0
         for i in range(1, 9):

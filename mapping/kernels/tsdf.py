@@ -232,7 +232,7 @@ def sum_beams(
 def fold_sums(
     distance: Array, weight: Array, slots: Array, sums: Array, weights: Array, max_weight: Float, changed: Array
 ) -> None:
-    """Fold Σ weight · distance and Σ weight (n, 512) of one scan into the running means of the blocks in `slots` (n,)."""
+    """Fold Σ weight · distance and Σ weight (n, 512) of one scan into the running means of the blocks `slots` (n,)."""
     highest = np.float32(max_weight)
     for n in prange(slots.shape[0]):
         slot = slots[n]
