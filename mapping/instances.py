@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import combinations
 from typing import Any, Self, TypeAlias
 
 import numpy as np
@@ -175,8 +176,8 @@ class InstanceMap(MapLayer):
             if seen.pixels[p] >= FOUNDING_PIXELS:
                 ids[p] = self._next_id
                 self._next_id += 1
-        for pair in self._together:
-            if taken.issuperset(pair):  # two masks in one image: two things
+        for pair in combinations(sorted(taken), 2):
+            if pair in self._together:  # two masks in one image: two things
                 self._together[pair] -= 1
         together = [
             (int(ids[p]), int(k))

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.esdf import EsdfMap
 from mapping.geometry import SE3
 from mapping.instances import InstanceChange, InstanceMap
 from mapping.layer import Changed, MapLayer
@@ -23,6 +24,7 @@ from mapping.view import DepthView
 
 Array: TypeAlias = NDArray[Any]
 
+ESDF_TRUNCATION_M = 2.0
 REGISTRATION_STEP = 12
 """Every so many-th row and column of an image takes part in the correction of its pose …"""
 REGISTRATION_RANGE_M = 4.5
@@ -40,7 +42,7 @@ class MapChange:
 
 
 class LayeredMap:
-    """Occupancy, signed distance, planes, class votes and instances.
+    """Occupancy, signed distance, planes, class votes and instances; and a distance field that follows the occupancy.
 
     voxel_size_m           edge of the voxels of occupancy, signed distance and semantics [m]
     instance_voxel_size_m  edge of the finer voxels of which things are made [m]
@@ -60,10 +62,15 @@ class LayeredMap:
         self.semantics = SemanticMap(voxel_size_m=voxel_size_m)
         self.instances = InstanceMap(voxel_size_m=instance_voxel_size_m)
         self.planes = PlaneMap(voxel_size_m)
+        self.esdf = self._distance_field()
 
     @property
     def layers(self) -> dict[str, MapLayer]:
         return {layer.kind: layer for layer in (self.occupancy, self.tsdf, self.semantics, self.instances)}
+
+    def _distance_field(self) -> EsdfMap:
+        """Distances to what is occupied; worked out where something changed, when they are asked for."""
+        return EsdfMap(self.occupancy, truncation_m=min(ESDF_TRUNCATION_M, 200.0 * self.occupancy.voxel_size_m))
 
     def state(self) -> dict[str, dict[str, Array]]:
         """The arrays of all layers, by layer."""
@@ -76,6 +83,7 @@ class LayeredMap:
         self.semantics = SemanticMap.from_state(state["semantics"])
         self.instances = InstanceMap.from_state(state["instances"])
         self.planes.restore(state["planes"])
+        self.esdf = self._distance_field()
 
     def integrate_image(self, image: RgbdImage, T_map_camera: SE3, things: Array) -> MapChange:
         """Fuse an image; `things` (65536,) bool marks the class ids that have instances."""

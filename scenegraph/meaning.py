@@ -11,7 +11,7 @@ from reasoning.terms import Atom, Compound, Term, Var
 from scenegraph import facts
 from scenegraph.answers import Answers
 from scenegraph.config import WorldConfig
-from scenegraph.graph import Edge, GraphChanges, Node, SceneGraph
+from scenegraph.graph import Edge, EdgeKey, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 from scenegraph.perception.relations import MeasurementChange
 from scenegraph.perception.structure import rules_labeller
@@ -80,7 +80,7 @@ class Meaning:
             fresh = frozenset(facts.node_facts(node))
             put += fresh - self._facts_of.get(node.id, frozenset())
             self._facts_of[node.id] = fresh
-        put += [facts.edge_fact(step) for step in changes.steps if isinstance(step, Edge)]
+        put += [facts.edge_fact(step) for step in changes.steps if isinstance(step, Edge) and not follows_rules(step)]
         for node_id in gone:
             self._facts_of.pop(node_id, None)
         self.knowledge.update(put=put, deleted=deleted, forget=sorted(gone))
@@ -117,10 +117,11 @@ class Meaning:
 
     def _type_rooms(self, changes: GraphChanges, nodes: dict[str, Node], gone: set[str], graph: SceneGraph) -> None:
         """Write the type that the rules give a room, with the reason, where it changed."""
-        rooms = {n.id: n for n in graph.nodes("room") if n.id not in gone}
+        touched = {s.target for s in changes.steps if isinstance(s, Edge) and s.relation == "in"}
+        touched |= {s.target for s in changes.steps if isinstance(s, EdgeKey) and s.relation == "in"}
+        rooms = {i: graph.node(i) for i in touched - gone if i in graph and graph.node(i).layer == "room"}
         rooms.update({i: n for i, n in nodes.items() if n.layer == "room"})
-        touched = {s.target for s in changes.steps if isinstance(s, Edge) and s.relation == "in"} | nodes.keys()
-        for room_id in sorted(rooms.keys() & touched):
+        for room_id in sorted(rooms):
             goal = Compound("room_type", (Atom(room_id), Var("Type"), Var("Reason")))
             answers = self.knowledge.call(goal, limit=1)
             room = rooms[room_id]

@@ -7,7 +7,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from mapping.kernels import regions as kernels
 from mapping.occupancy import FREE, OCCUPIED, OccupancyMap
@@ -115,17 +114,15 @@ class Building:
         """
         p, q = np.asarray(p, dtype=np.float64), np.asarray(q, dtype=np.float64)
         low, high = np.minimum(p, q) - limit_m, np.maximum(p, q) + limit_m
-        z_low, z_high = min(p[2], q[2]) - 0.1, max(p[2], q[2]) + 0.1
+        z_low, z_high = min(p[2], q[2]), max(p[2], q[2])
         origin = np.floor(low[:2] / WAY_CELL_M).astype(np.int64)
         shape = tuple((np.floor(high[:2] / WAY_CELL_M).astype(np.int64) - origin + 1).tolist())
         blocked = np.zeros(shape, bool)
-        for plane_id in self._near(low, high):
-            points = self._planes.samples(plane_id)
-            points = points[(points[:, 2] >= z_low) & (points[:, 2] <= z_high)]
-            cells = np.floor(points[:, :2] / WAY_CELL_M).astype(np.int64) - origin
+        for node in self._walls.within((low, high), 0.0):
+            points = self._wall_points(node, low, high, (z_low, 0.5 * (z_low + z_high), z_high))
+            cells = np.floor(points / WAY_CELL_M).astype(np.int64) - origin
             cells = cells[((cells >= 0) & (cells < shape)).all(axis=1)]
             blocked[cells[:, 0], cells[:, 1]] = True
-        blocked = ndimage.binary_closing(blocked, np.ones((3, 3)))
         ends = [(np.floor(e[:2] / WAY_CELL_M).astype(np.int64) - origin).tolist() for e in (p, q)]
         rise = abs(float(p[2] - q[2]))
         lower = self._taut(blocked, ends, rise, limit_m)
@@ -136,6 +133,19 @@ class Building:
         centres = np.column_stack([(ij + origin + 0.5) * WAY_CELL_M, np.full(len(ij), middle)])
         unknown = (self._occupancy.classify(centres) < FREE).reshape(shape)
         return self._taut(blocked | unknown, ends, rise, limit_m), lower
+
+    def _wall_points(self, node: str, low: Array, high: Array, heights: tuple[float, ...]) -> Array:
+        """Ground points (N, 2), half a cell apart, of the part of a wall that was seen at one of the heights."""
+        normal, offset, along, start, end = self._lines[node]
+        corners = np.array([low[:2], [low[0], high[1]], high[:2], [high[0], low[1]]]) @ along
+        steps = np.arange(max(start, corners.min()), min(end, corners.max()), 0.5 * WAY_CELL_M)
+        ground = offset * normal + steps[:, None] * along
+        seen = np.zeros(len(ground), bool)
+        for z in heights:
+            at = np.column_stack([ground, np.full(len(ground), z)])
+            through = np.array([*normal, 0.0]) * WAY_CELL_M
+            seen |= self._planes.blocks_segment(at - through, at + through, [int(node)])
+        return np.asarray(ground[seen])
 
     @staticmethod
     def _taut(blocked: Array, ends: list[list[int]], rise: float, limit_m: float) -> float:

@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Iterator
 from typing import Any, TypeAlias
 
-import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[Any]
@@ -18,38 +17,38 @@ class GroundIndex:
 
     def __init__(self, cell_m: float = 2.0) -> None:
         self._cell_m = cell_m
-        self._bounds: dict[str, tuple[Array, Array]] = {}
+        self._bounds: dict[str, tuple[float, float, float, float]] = {}
         self._members: defaultdict[Cell, set[str]] = defaultdict(set)
 
     def put(self, thing: str, bounds: tuple[Array, Array]) -> None:
         """Add or move a thing; bounds are its lowest and highest corner (3,) [m]."""
         self.remove(thing)
-        self._bounds[thing] = bounds
-        for cell in self._cells(bounds, 0.0):
+        (x0, y0), (x1, y1) = bounds[0][:2].tolist(), bounds[1][:2].tolist()
+        self._bounds[thing] = (x0, y0, x1, y1)
+        for cell in self._cells(x0, y0, x1, y1):
             self._members[cell].add(thing)
 
     def remove(self, thing: str) -> None:
         bounds = self._bounds.pop(thing, None)
         if bounds is not None:
-            for cell in self._cells(bounds, 0.0):
+            for cell in self._cells(*bounds):
                 self._members[cell].discard(thing)
                 if not self._members[cell]:
                     del self._members[cell]
 
     def within(self, bounds: tuple[Array, Array], reach_m: float) -> list[str]:
         """The things whose bounds, seen from above, lie within `reach_m` of the given ones along both axes; sorted."""
-        low, high = bounds
+        (x0, y0), (x1, y1) = bounds[0][:2].tolist(), bounds[1][:2].tolist()
+        x0, y0, x1, y1 = x0 - reach_m, y0 - reach_m, x1 + reach_m, y1 + reach_m
         found = set()
-        for cell in self._cells(bounds, reach_m):
+        for cell in self._cells(x0, y0, x1, y1):
             for thing in self._members.get(cell, ()):
-                a, b = self._bounds[thing]
-                if (a[:2] <= high[:2] + reach_m).all() and (b[:2] >= low[:2] - reach_m).all():
+                a, b, c, d = self._bounds[thing]
+                if a <= x1 and b <= y1 and c >= x0 and d >= y0:
                     found.add(thing)
         return sorted(found)
 
-    def _cells(self, bounds: tuple[Array, Array], reach_m: float) -> Iterator[Cell]:
-        low = np.floor((bounds[0][:2] - reach_m) / self._cell_m).astype(int)
-        high = np.floor((bounds[1][:2] + reach_m) / self._cell_m).astype(int)
-        for i in range(low[0], high[0] + 1):
-            for j in range(low[1], high[1] + 1):
+    def _cells(self, x0: float, y0: float, x1: float, y1: float) -> Iterator[Cell]:
+        for i in range(int(x0 // self._cell_m), int(x1 // self._cell_m) + 1):
+            for j in range(int(y0 // self._cell_m), int(y1 // self._cell_m) + 1):
                 yield i, j
