@@ -72,6 +72,24 @@ def fold(evidence: dict[Voxel, int], marks: dict[Voxel, bool], hit: int, miss: i
         evidence[voxel] = min(max(evidence.get(voxel, 0) + (hit if was_hit else miss), low), high)
 
 
+def means_of_beams(
+    origin: np.ndarray, ends: np.ndarray, truncation: float, voxel_size: float
+) -> dict[Voxel, tuple[float, float]]:
+    """Mean signed distance along the beams and total weight of each voxel within the truncation of a beam's end."""
+    sums: dict[Voxel, tuple[float, float]] = {}
+    for end in ends:
+        length = float(np.linalg.norm(end - origin))
+        direction = (end - origin) / length
+        first = origin + max(length - truncation, 0.0) * direction
+        for voxel in voxels_on_beam(first, end + truncation * direction, voxel_size):
+            distance = min(length - float((centre_of(voxel, voxel_size) - origin) @ direction), truncation)
+            if distance > -truncation:
+                gain = min(1.0, max(2.0 + distance / voxel_size, 0.02))
+                total, weight = sums.get(voxel, (0.0, 0.0))
+                sums[voxel] = total + gain * distance, weight + gain
+    return {voxel: (total / weight, weight) for voxel, (total, weight) in sums.items()}
+
+
 # -- images ----------------------------------------------------------------------------------------------------
 
 

@@ -61,6 +61,20 @@ def test_images_agree_with_the_naive_mean(yaw, pitch, seed, weighting):
                 assert voxel not in known
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**31), st.integers(1, 25))
+def test_beams_agree_with_the_naive_mean(seed, n):
+    rng = np.random.default_rng(seed)
+    origin, directions = rng.uniform(-1, 1, 3), rng.normal(size=(n, 3))
+    ends = origin + directions / np.linalg.norm(directions, axis=1, keepdims=True) * rng.uniform(0.4, 2.0, (n, 1))
+    layer = TsdfMap(0.1, 0.3)
+    layer.integrate(ends - origin, SE3(np.eye(3), origin))
+    known = distances_of(layer)
+    expected = naive.means_of_beams(origin, ends, 0.3, 0.1)
+    assert known.keys() == expected.keys()
+    assert all(known[voxel] == pytest.approx(expected[voxel], abs=1e-5) for voxel in expected)
+
+
 def test_a_voxel_near_the_surface_is_in_an_allocated_block():
     pose = looking(0.3, 0.2)
     depth = Room().depth(pose, SMALL_CAMERA)
