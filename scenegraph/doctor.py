@@ -36,7 +36,6 @@ MODULES = {  # import name → distribution
     "open3d": "open3d-cpu",
     "pyswip": "pyswip",
     "zenoh": "eclipse-zenoh",
-    "cbor2": "cbor2",
     "zstandard": "zstandard",
     "PIL": "pillow",
     "shapely": "shapely",
