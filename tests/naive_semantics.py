@@ -34,7 +34,7 @@ def mask_depths(keys: np.ndarray, cap: int) -> np.ndarray:
 
 
 def pieces(keys: np.ndarray, depth: np.ndarray, step_m: float, step_share: float) -> set[frozenset[Cell]]:
-    """Connected pieces of the masks, by breadth-first search. Of two neighbours the right or lower one sets the limit."""
+    """Connected pieces of the masks, by breadth-first search; the right or lower of two neighbours sets the limit."""
     left = {(int(v), int(u)) for v, u in np.argwhere((keys != 0) & (depth > 0))}
     found = set()
     while left:

@@ -12,7 +12,7 @@ from mapping.layered import LayeredMap, MapChange
 from mapping.observations import AgentPose
 from scenegraph.errors import InvalidStatement
 from scenegraph.facts import class_atom
-from scenegraph.graph import Box, GraphChanges, Node, SceneGraph
+from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 from scenegraph.labels import Labels
 from scenegraph.perception.building import Building
@@ -58,6 +58,7 @@ class Perception:
         room_changes, moved_rooms = self.rooms.update(self._map.occupancy, seen.occupancy, labelled, graph, stamp_ns)
         changes.extend(room_changes)
 
+        _house_rooms(changes, graph)
         _keep_told(changes, graph)
         measured = self.relations.update(self.objects.shapes, self.objects.labels, reshaped, self.building)
         measured.merge(self._room_shares(reshaped, moved_rooms))
@@ -114,6 +115,7 @@ class Perception:
             case "room", (name, list(polygon)):
                 room_changes, rooms = self.rooms.draw(str(name), polygon, graph, told.stamp_ns)
                 changes.extend(room_changes)
+                _house_rooms(changes, graph)
                 measured, touched = self._room_shares(set(), rooms), rooms
             case "fact" | "retract", _:
                 return changes
@@ -173,6 +175,15 @@ class Perception:
 
 def _with(node: Node, **attributes: Any) -> Node:
     return node.replace(attributes={**node.attributes, **attributes})
+
+
+def _house_rooms(changes: GraphChanges, graph: SceneGraph) -> None:
+    """Join the rooms that are new to their building."""
+    for room in [step for step in changes.steps if isinstance(step, Node) and step.layer == "room"]:
+        if graph.edge("in", room.id, BUILDING) is None:
+            times = {"first_seen_ns": room.first_seen_ns, "last_seen_ns": room.last_seen_ns}
+            changes.put(Edge(relation="in", source=room.id, target=BUILDING, **times))
+            changes.put(Edge(relation="contains", source=BUILDING, target=room.id, **times))
 
 
 def _keep_told(changes: GraphChanges, graph: SceneGraph) -> None:

@@ -21,7 +21,7 @@ from mapping.layer import Changed
 from mapping.occupancy import OccupancyMap
 from mapping.planes import Plane
 from scenegraph.errors import InvalidStatement
-from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
+from scenegraph.graph import Box, GraphChanges, Node, SceneGraph
 from scenegraph.perception.ground import GroundGrid
 
 Array: TypeAlias = NDArray[Any]
@@ -376,11 +376,6 @@ class Rooms:
                 },
             )
         )
-        if known is None and "building_1" in graph:
-            for relation, source, target in (("in", room, "building_1"), ("contains", "building_1", room)):
-                changes.put(
-                    Edge(relation=relation, source=source, target=target, first_seen_ns=stamp_ns, last_seen_ns=stamp_ns)
-                )
 
 
 def _into_walls(rooms: Array, barrier: Array) -> Array:

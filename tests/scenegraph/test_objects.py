@@ -61,6 +61,7 @@ class Watching:
 
 
 CUBE = surface(box((0.3, 0.2, 0.2)))
+BESIDE = np.array([0.3, 0.0, 0.0])
 
 
 @pytest.fixture
@@ -109,7 +110,7 @@ def test_noise_does_not_move_a_thing_and_motion_does(world: Watching) -> None:
 
 
 def test_a_merged_thing_leaves_a_tombstone_that_says_what_became_of_it(world: Watching) -> None:
-    world.seen.put(2, "table", CUBE + (0.3, 0.0, 0.0))
+    world.seen.put(2, "table", CUBE + BESIDE)
     world.update(2)
     world.seen.join(1, 2)
     assert world.update(1, merged={2: 1}) == {"object_1", "object_2"}
@@ -121,7 +122,7 @@ def test_a_merged_thing_leaves_a_tombstone_that_says_what_became_of_it(world: Wa
 def test_a_node_lives_on_when_its_instance_is_merged_into_an_older_one_without_a_node() -> None:
     world = Watching()
     world.seen.put(1, "table", CUBE, views=1)
-    world.seen.put(2, "table", CUBE + (0.3, 0.0, 0.0))
+    world.seen.put(2, "table", CUBE + BESIDE)
     world.update(1, 2)
     assert [n.id for n in world.graph.nodes("object")] == ["object_2"]
     world.seen.join(1, 2)

@@ -10,7 +10,7 @@ import numpy as np
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.observations import LabelSpace, RgbdImage
 
-CAMERA = CameraIntrinsics(fx=140.0, fy=140.0, cx=119.5, cy=89.5, width=240, height=180)
+CAMERA = CameraIntrinsics(fx=120.0, fy=120.0, cx=99.5, cy=74.5, width=200, height=150)
 STUFF = ("wall", "floor", "ceiling")
 
 
@@ -47,15 +47,16 @@ class Scene:
 
     def cast(self, T_map_camera: SE3, camera: CameraIntrinsics = CAMERA) -> tuple[np.ndarray, np.ndarray]:
         """Depth (H, W) float32 [m], 0 where nothing is hit, and the number (H, W) of the box that is hit, from 1."""
-        rays = camera.rays().reshape(-1, 3).astype(np.float64) @ T_map_camera.rotation.T
-        depth, hit = np.full(len(rays), np.inf), np.zeros(len(rays), np.int64)
+        rays = camera.rays().reshape(-1, 3) @ T_map_camera.rotation.T.astype(np.float32)
+        depth, hit = np.full(len(rays), np.inf, np.float32), np.zeros(len(rays), np.int64)
         for n, block in enumerate(self.blocks):
             turn = SE3.exp([0, 0, 0, 0, 0, block.yaw]).rotation
-            origin, along = (T_map_camera.translation - block.center) @ turn, rays @ turn
-            along = np.where(np.abs(along) < 1e-12, 1e-12, along)
-            half = 0.5 * np.asarray(block.size)
-            one, two = (-half - origin) / along, (half - origin) / along
-            near, far = np.minimum(one, two).max(axis=1), np.maximum(one, two).min(axis=1)
+            origin = ((T_map_camera.translation - block.center) @ turn).astype(np.float32)
+            along = turn.T.astype(np.float32) @ rays.T
+            along[np.abs(along) < 1e-9] = 1e-9
+            half = 0.5 * np.asarray(block.size, np.float32)
+            middle, reach = -origin[:, None] / along, half[:, None] / np.abs(along)
+            near, far = (middle - reach).max(axis=0), (middle + reach).min(axis=0)
             met = (near <= far) & (near > 0.05) & (near < depth)
             depth[met], hit[met] = near[met], n + 1
         shape = (camera.height, camera.width)
@@ -65,7 +66,7 @@ class Scene:
         self, T_map_camera: SE3, stamp_ns: int, *, labelled: bool = True, camera: CameraIntrinsics = CAMERA,
         hide: Iterable[int] = (), rename: dict[int, str] | None = None, robot: str = "rob", sensor: str = "camera",
     ) -> RgbdImage:  # fmt: skip
-        """What a perfect camera sees. `hide`: things whose masks are missing; `rename`: thing → class it is taken for."""
+        """What a perfect camera sees. `hide`: things without masks; `rename`: thing → class it is taken for."""
         depth, hit = self.cast(T_map_camera, camera)
         classes = [self.id_of((rename or {}).get(b.thing, b.label)) for b in self.blocks]
         table = np.array([0, *classes], np.uint16)
@@ -94,19 +95,12 @@ def looking_at(eye: Sequence[float], target: Sequence[float]) -> SE3:
     return SE3(np.stack([right, np.cross(forward, right), forward], axis=1), np.asarray(eye, dtype=np.float64))
 
 
-def table(
-    x: float, y: float, thing: int, *, yaw: float = 0.0, size: tuple[float, float, float] = (1.2, 0.8, 0.74)
-) -> list[Block]:
-    """A table: a plate on four legs, all one thing."""
-    length, width, height = size
-    turn = SE3.exp([0, 0, 0, 0, 0, yaw]).rotation
-    blocks = [Block("table", (x, y, height - 0.02), (length, width, 0.04), thing, yaw)]
-    for i in (-1, 1):
-        for j in (-1, 1):
-            at = turn @ (i * (0.5 * length - 0.04), j * (0.5 * width - 0.04), 0.0)
-            leg = (x + at[0], y + at[1], 0.5 * (height - 0.04))
-            blocks.append(Block("table", leg, (0.05, 0.05, height - 0.04), thing, yaw))
-    return blocks
+def table(x: float, y: float, thing: int, *, yaw: float = 0.0) -> list[Block]:
+    """A table: a plate on a pedestal, both one thing."""
+    return [
+        Block("table", (x, y, 0.72), (1.2, 0.8, 0.04), thing, yaw),
+        Block("table", (x, y, 0.35), (0.6, 0.4, 0.7), thing, yaw),
+    ]
 
 
 def shell(low: tuple[float, float], high: tuple[float, float], height: float = 2.4) -> list[Block]:
