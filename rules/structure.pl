@@ -5,6 +5,7 @@
             allowed/5,                  % +Relation, +PlaneA, ?LabelA, +PlaneB, ?LabelB
             supports_label/2,           % ?Class, ?Label
             neutral_class/1,            % ?Class
+            structure_area/1,           % ?SquareMetres
             wall_height/1,              % ?Metres
             wall_width/1,               % ?Metres
             wall_ceiling_gap/1,         % ?Metres
@@ -15,7 +16,11 @@
             leaf_floor_gap/1,           % ?Metres
             evident_share/1,            % ?Share
             evidence_weight/1,          % ?Cost
+            smallest_weight/1,          % ?Cost
             largest_weight/1,           % ?Cost
+            storey_height/1,            % ?Metres
+            furniture_share/1,          % ?Share
+            room_area/1,                % ?SquareMetres
             search_bound/1              % ?Inferences
           ]).
 
@@ -54,6 +59,13 @@ Example: a table top above a floor cannot be a floor as well.
 :- use_module(library(assoc)).
 
 % -- what to measure with ------------------------------------------------
+
+%!  structure_area(?SquareMetres) is det.
+%
+%   Structure is at least this large: smaller pieces are reveals, rounded
+%   edges and scraps.
+
+structure_area(0.35).
 
 %!  wall_height(?Metres) is det.
 %
@@ -128,7 +140,7 @@ evidence_weight(5.0).
 %   Cost of calling even the smallest plane no_feature, so that their
 %   number counts.
 
-smallest_weight(0.5).
+smallest_weight(0.25).
 
 %!  largest_weight(?Cost) is det.
 %
@@ -137,6 +149,26 @@ smallest_weight(0.5).
 %   halls of a station do not outweigh everything.
 
 largest_weight(40.0).
+
+%!  storey_height(?Metres) is det.
+%
+%   Walls are higher than this, people reach the top of furniture.
+
+storey_height(2.2).
+
+%!  furniture_share(?Share) is det.
+%
+%   Uprights below storey_height/1 count with this share of their area: a
+%   room may hold more cupboard fronts than it has ceiling.
+
+furniture_share(0.2).
+
+%!  room_area(?SquareMetres) is det.
+%
+%   The smallest rooms are this large: a smaller level plane counts with
+%   the less of its area the smaller it is.
+
+room_area(4.0).
 
 %!  prior_cost(?Label, ?Cost) is det.
 %
@@ -200,14 +232,16 @@ label_cost(Plane, Label, Cost) :-
     shares(Plane, Shares, Against),
     label_cost(Label, Plane, Shares, Against, Cost).
 
-label_cost(no_feature, plane(_, _, _, _, _, Area, _), Shares, Against, Cost) :-
-    smallest_weight(Least),
-    largest_weight(Most),
+label_cost(no_feature, Plane, Shares, Against, Cost) :-
+    weight(Plane, Weight),
     evidence_weight(Evidence),
     pairs_values(Shares, For),
     sum_list(For, Sum),
-    Cost is min(Least+Area, Most)*(1.0-Against) + Evidence*Sum.
+    Cost is Weight*(1.0-Against) + Evidence*Sum.
 label_cost(Label, Plane, Shares, Against, Cost) :-
+    structure_area(Least),
+    arg(6, Plane, Area),
+    Area >= Least,
     member(Label, [wall, floor, ceiling, door]),
     (   evident(Label, Shares),
         faces(Label, Plane)
@@ -223,6 +257,21 @@ label_cost(Label, Plane, Shares, Against, Cost) :-
     ;   Own = 0.0
     ),
     Cost is Prior + Evidence*(Against+Sum-Own).
+
+%   How much speaks for a plane's being structure, from its shape alone.
+
+weight(plane(_, Facing, ZMin, ZMax, _, Area, _), Weight) :-
+    (   memberchk(Facing, [up, down])
+    ->  room_area(Room),
+        Share is min(1.0, Area/Room)
+    ;   storey_height(Height),
+        ZMax-ZMin >= Height
+    ->  Share = 1.0
+    ;   furniture_share(Share)
+    ),
+    smallest_weight(Least),
+    largest_weight(Most),
+    Weight is min(Most, Least+Share*Area).
 
 %   Shares: Label-Share for each label that classes on the plane support.
 %   Against: the share of classes that are no structure.
@@ -350,19 +399,19 @@ goes(above, door, floor).
 measures(above, ceiling, plane(_, _, Z, _, _, _, _), floor, plane(_, _, _, Z0, _, _, _)) :-
     !,
     ceiling_clearance(Least),
-    Z - Z0 >= Least.
-measures(above, ceiling, plane(_, _, Z0, Z1, _, _, _), wall, plane(_, _, _, Top, _, _, _)) :-
+    Z-Z0 >= Least.
+measures(above, ceiling, plane(_, _, Z, _, _, _, _), wall, plane(_, _, _, Top, _, _, _)) :-
     !,
     wall_ceiling_gap(Most),
-    0.5*(Z0+Z1) - Top =< Most.
-measures(above, wall, plane(_, _, Bottom, _, _, _, _), floor, plane(_, _, Z0, Z1, _, _, _)) :-
+    Z-Top =< Most.
+measures(above, wall, plane(_, _, Bottom, _, _, _, _), floor, plane(_, _, _, Z, _, _, _)) :-
     !,
     wall_floor_gap(Most),
-    Bottom - 0.5*(Z0+Z1) =< Most.
-measures(above, door, plane(_, _, Bottom, _, _, _, _), floor, plane(_, _, Z0, Z1, _, _, _)) :-
+    Bottom-Z =< Most.
+measures(above, door, plane(_, _, Bottom, _, _, _, _), floor, plane(_, _, _, Z, _, _, _)) :-
     !,
     leaf_floor_gap(Most),
-    Bottom - 0.5*(Z0+Z1) =< Most.
+    Bottom-Z =< Most.
 measures(_, _, _, _, _).
 
 %   Labels that were seen outweigh geometry: both seen, a leaf that was

@@ -95,7 +95,7 @@ def box(low: Any, high: Any, inwards: bool = False) -> list[Rectangle]:
     lower, upper = np.array([x0, y0, z0], float), np.array([x1, y1, z1], float)
     outwards = [
         Rectangle(lower, y, x), Rectangle(upper, -x, -y), Rectangle(lower, x, z),
-        Rectangle(upper, z, -x), Rectangle(lower, z, y), Rectangle(upper, -y, -z),
+        Rectangle(upper, -z, -x), Rectangle(lower, z, y), Rectangle(upper, -y, -z),
     ]  # fmt: skip
     return [Rectangle(r.corner, r.v, r.u) for r in outwards] if inwards else outwards
 
@@ -111,8 +111,8 @@ class Soup:
 
     def __post_init__(self) -> None:
         self._rng = np.random.default_rng(self.seed)
-        self._parts: dict[int, tuple[Any, Any, Any]] = {}
-        self._rows: dict[tuple[int, int, int], list[tuple[int, Any]]] = {}
+        self._parts: dict[Rectangle, tuple[Any, Any, Any]] = {}
+        self._rows: dict[tuple[int, int, int], list[tuple[Rectangle, Any]]] = {}
 
     def add(self, rectangle: Rectangle) -> Any:
         """Put a rectangle there; returns the blocks (K, 3) that changed."""
@@ -121,11 +121,11 @@ class Soup:
         normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
         points = points + self.noise_m * self._rng.standard_normal((len(points), 1)) * rectangle.normal
         blocks = np.floor(points / (8.0 * self.voxel_size_m)).astype(np.int32)
-        self._parts[id(rectangle)] = (points, normals, blocks)
+        self._parts[rectangle] = (points, normals, blocks)
         changed = np.unique(blocks, axis=0)
         for key in map(tuple, changed.tolist()):
             rows = np.flatnonzero((blocks == key).all(axis=1))
-            self._rows.setdefault(key, []).append((id(rectangle), rows))
+            self._rows.setdefault(key, []).append((rectangle, rows))
         return changed
 
     def add_all(self, rectangles: Iterable[Rectangle]) -> Any:
@@ -133,10 +133,10 @@ class Soup:
 
     def remove(self, rectangle: Rectangle) -> Any:
         """Take a rectangle away; returns the blocks (K, 3) that changed."""
-        _, _, blocks = self._parts.pop(id(rectangle))
+        _, _, blocks = self._parts.pop(rectangle)
         changed = np.unique(blocks, axis=0)
         for key in map(tuple, changed.tolist()):
-            self._rows[key] = [entry for entry in self._rows[key] if entry[0] != id(rectangle)]
+            self._rows[key] = [entry for entry in self._rows[key] if entry[0] is not rectangle]
         return changed
 
     def surface(self, block_ijk: Any = None, /) -> tuple[Any, Any, Any]:

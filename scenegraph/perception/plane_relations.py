@@ -62,13 +62,10 @@ class MeasuredPlane:
 
     facts: PlaneFacts
     normal: Array
+    offset: float
     low: Array
     high: Array
     points: Array
-
-    @property
-    def height(self) -> float:
-        return 0.5 * (self.facts.z_min + self.facts.z_max)
 
 
 def measured(summary: PlaneSummary, k: int) -> PlaneFacts:
@@ -100,13 +97,14 @@ def relations_between(a: MeasuredPlane, b: MeasuredPlane, planes: PlaneMap) -> l
 
 def _level_relations(a: MeasuredPlane, b: MeasuredPlane, planes: PlaneMap) -> list[Relation]:
     small, large = (a, b) if a.facts.area_m2 < b.facts.area_m2 else (b, a)
-    reach = _BESIDE_M
-    if not planes.near(large.facts.id, small.points, reach, TALLEST_ROOM_M).any():
+    near = planes.near(large.facts.id, small.points, _BESIDE_M, TALLEST_ROOM_M)
+    if not near.any():
         return []
+    # measured where they are close: floors of long corridors are not quite level
+    rise = float(np.median(small.points[near] @ large.normal - large.offset) / large.normal[2])
     pair = (a.facts.id, b.facts.id)
     found: list[Relation] = [("parallel", *pair)]
-    rise = a.height - b.height
-    upper, lower = (a, b) if rise > 0.0 else (b, a)
+    upper, lower = (small, large) if rise > 0.0 else (large, small)
     alike = a.facts.facing == b.facts.facing
     if abs(rise) <= _EQUAL_M:
         return [*found, ("equalheight", *pair)] if alike else []
@@ -120,10 +118,10 @@ def _standing_relations(level: MeasuredPlane, upright: MeasuredPlane, planes: Pl
     if np.count_nonzero(near) < 0.3 * len(near):
         return []
     found: list[Relation] = [("orthogonal", level.facts.id, upright.facts.id)]
-    middle = 0.5 * (upright.facts.z_min + upright.facts.z_max)
-    if level.facts.facing == "down" and level.height > middle:
+    rise = float(np.median(upright.points @ level.normal - level.offset) / level.normal[2])
+    if level.facts.facing == "down" and rise < 0.0:
         found.append(("above", level.facts.id, upright.facts.id))
-    elif level.facts.facing == "up" and level.height < middle:
+    elif level.facts.facing == "up" and rise > 0.0:
         found.append(("above", upright.facts.id, level.facts.id))
     else:
         return []

@@ -178,7 +178,9 @@ class Structure:
 
     def _keep(self, facts: PlaneFacts, summary: PlaneSummary, k: int, planes: PlaneMap) -> None:
         points = planes.spread(facts.id, 100)
-        self._seen[facts.id] = MeasuredPlane(facts, summary.normal[k], summary.low[k], summary.high[k], points)
+        self._seen[facts.id] = MeasuredPlane(
+            facts, summary.normal[k], float(summary.offset[k]), summary.low[k], summary.high[k], points
+        )
 
     def _moved(self, old: PlaneFacts, new: PlaneFacts) -> bool:
         share = self.noticeable
