@@ -9,7 +9,7 @@ from mapping.observations import RobotDescription
 from scenegraph.config import WorldConfig
 from scenegraph.errors import StoreCorrupt
 from scenegraph.graph import SceneGraph
-from scenegraph.statements import Statement
+from scenegraph.statements import read
 from scenegraph.store import WorldParts, load_world, save_world
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def load(kind: type[W], path: Path) -> W:
         world.labels.restore(documents["labels"])
         world.robots = {r["robot"]: RobotDescription(**r) for r in documents["robots"]}
         world.perception.restore(documents["perception"], parts.layers["rooms"], world.graph)
-        world.statements = [Statement(**s) for s in documents["statements"]]
+        world.statements = [read(**told, knowledge=world.meaning.knowledge) for told in documents["statements"]]
         world.meaning.remember(world.graph, world.labels.classes, world.perception.relations.facts, world.statements)
     except (KeyError, TypeError, ValueError) as error:
         world.close()
