@@ -26,7 +26,8 @@ DEPTH_STEP_SHARE = 0.015
 """Neighbouring pixels lie on one surface when their depths differ by less than DEPTH_STEP_M + DEPTH_STEP_SHARE · z:
 above the noise of depth cameras, and the slope of a table top seen from standing height up to 3 m."""
 CORE_SHARE = 0.6
-"""The core of a mask is what lies deeper inside than BLEED_PX, or, in a small mask, than this share of its depth."""
+"""The core of a mask is what lies deeper inside than BLEED_PX or, where it is thin (a leg, a pole), than this share of
+its depth there."""
 RIM_SLOPE = 3.0
 """A rim pixel is the thing's own when its surface is no steeper than this against the image plane, seen from the
 core."""
@@ -72,10 +73,10 @@ def segment(image: RgbdImage, depth_m: Array, things: Array) -> Segmentation:
     thing = (instances != 0) | things[labels]
     mask = np.empty(depth_m.shape, np.int32)
     names = kernels.number_masks(np.where(thing, keys, 0), mask)
-    deepest = np.zeros(len(names), np.uint8)
-    kernels.measure_masks(mask, distance, deepest)
-    core_px = np.minimum(BLEED_PX, (CORE_SHARE * deepest).astype(np.uint8))
-    core = np.where(distance > core_px[mask], mask, 0).astype(np.int64)
+    peak = np.empty(depth_m.shape, np.uint8)
+    kernels.local_peaks(mask, distance, BLEED_PX + 2, peak)
+    core_px = np.minimum(np.float32(CORE_SHARE) * peak, np.float32(BLEED_PX))
+    core = np.where(distance > core_px, mask, 0).astype(np.int64)
     pieces = np.empty(depth_m.shape, np.int32)
     n = kernels.connect(core, depth_m, DEPTH_STEP_M, DEPTH_STEP_SHARE, pieces)
     of_mask, pixels = np.zeros(n, np.int32), np.zeros(n, np.int64)

@@ -80,7 +80,8 @@ def thin_out(points: Array, cell: float) -> Array:
 def closed_sides(points: Array, material: Array, beside: float) -> Array:
     """(N,) int64: in how many of the directions ±x, ±y, −z each point (N, 3) meets material (M, 3).
 
-    Material is met that lies in the direction and within `beside` of its axis along both other axes.
+    Material is met that lies in the direction and within `beside` of its axis along both other axes; to the sides only
+    what is no lower than the point: a surface on which the point lies does not close it in.
     """
     closed = np.zeros(len(points), dtype=np.int64)
     met = np.zeros(5, dtype=np.bool_)
@@ -90,7 +91,7 @@ def closed_sides(points: Array, material: Array, beside: float) -> Array:
             dx = material[m, 0] - points[n, 0]
             dy = material[m, 1] - points[n, 1]
             dz = material[m, 2] - points[n, 2]
-            near_x, near_y, near_z = abs(dx) <= beside, abs(dy) <= beside, abs(dz) <= beside
+            near_x, near_y, near_z = abs(dx) <= beside, abs(dy) <= beside, 0.0 <= dz <= 2.0 * beside
             if near_y and near_z:
                 met[0 if dx > 0.0 else 1] = True
             if near_x and near_z:
