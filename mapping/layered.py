@@ -33,12 +33,13 @@ REGISTRATION_RANGE_M = 4.5
 
 @dataclass(frozen=True)
 class MapChange:
-    """What one observation changed on each floor of the map."""
+    """What one observation changed on each floor of the map; `T_map_camera`: an image's pose as the map corrected it."""
 
     occupancy: Changed
     tsdf: Changed
     planes: PlaneChange = field(default_factory=PlaneChange)
     instances: InstanceChange = field(default_factory=lambda: InstanceChange(frozenset(), {}))
+    T_map_camera: SE3 | None = None
 
 
 class LayeredMap:
@@ -93,7 +94,7 @@ class LayeredMap:
         registered = image.color if image.T_depth_color is None and image.color_intrinsics is None else None
         tsdf = self.tsdf.integrate_view(view, color=registered)
         planes = self.planes.update(self.tsdf, tsdf)
-        return MapChange(occupancy, tsdf, planes, self._vote(image, T_map_camera, things))
+        return MapChange(occupancy, tsdf, planes, self._vote(image, T_map_camera, things), T_map_camera)
 
     def _corrected(self, image: RgbdImage, T_map_camera: SE3) -> SE3:
         """The pose as the map corrects it, where it is uncertain."""

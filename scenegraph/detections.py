@@ -53,13 +53,15 @@ class DetectionDesk:
 
     def match(self, detections: Detections, labels: Labels) -> Posed | None:
         """The image that the detections belong to, labelled by them; None while it has not come."""
-        posed = self._images.pop(_key(detections), None)
+        posed = self._images.get(_key(detections))
         if posed is None:
             self._detections[_key(detections)] = detections
             while len(self._detections) > KEPT_DETECTIONS:
                 self._detections.popitem(last=False)
             return None
-        return Posed(painted(posed.image, detections, labels), posed.T_map_camera)
+        labelled = Posed(painted(posed.image, detections, labels), posed.T_map_camera)
+        del self._images[_key(detections)]
+        return labelled
 
 
 def painted(image: RgbdImage, detections: Detections, labels: Labels) -> RgbdImage:

@@ -68,7 +68,7 @@ class World:
         """
         match observation:
             case RgbdImage():
-                change = self._integrate_image(self._desk.label(observation, self.labels))
+                change = self._integrate_image(observation)
             case Scan():
                 change = self._integrate_scan(observation)
             case Detections():
@@ -97,8 +97,11 @@ class World:
         if image.labels is not None:
             labels = self.labels.translate(image.labels, image.robot, image.sensor)
             image = image.model_copy(update={"labels": labels})
-        self._desk.keep(image, T_map_camera)
-        return self.map.integrate_image(image, T_map_camera, self.labels.things)
+        else:
+            image = self._desk.label(image, self.labels)
+        change = self.map.integrate_image(image, T_map_camera, self.labels.things)
+        self._desk.keep(image, change.T_map_camera or T_map_camera)
+        return change
 
     def _integrate_scan(self, scan: Scan) -> MapChange:
         T_map_sensor = scan.T_map_sensor or self.frames.sensor_pose(
