@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -46,13 +47,17 @@ class PlaneFrame:
             u /= np.linalg.norm(u)
         return PlaneFrame(np.asarray(origin, dtype=np.float64), u, np.cross(n, u), n)
 
+    @cached_property
+    def _axes(self) -> Array:
+        return np.stack([self.u, self.v])
+
     def project(self, points: Array) -> Array:
         """Points (N, 3) [m] → (N, 2) [m] along u and v."""
-        return np.asarray((points - self.origin) @ np.stack([self.u, self.v], axis=1))
+        return np.asarray((points - self.origin) @ self._axes.T)
 
     def lift(self, uv: Array, normal: Array, offset: float) -> Array:
         """(N, 2) [m] → the points (N, 3) [m] of the plane normal·p = offset that project there."""
-        flat = self.origin + uv @ np.stack([self.u, self.v])
+        flat = self.origin + uv @ self._axes
         along = (offset - flat @ normal) / (self.normal @ normal)
         return np.asarray(flat + along[:, None] * self.normal)
 
@@ -136,10 +141,9 @@ class Coverage:
         """The parts of what is covered that lie more than `reach_m` (at most twice that) from each other: how many, the
         part of each coarse cell (from 1; 0: none), and the edge of a coarse cell in cells; see `part_of`."""
         stride = max(1, round(reach_m / self.cell_size_m))
-        u, v = (-(-n // stride) * stride for n in self._counts.shape)
-        mask = np.zeros((u, v), dtype=bool)
-        mask[: self._counts.shape[0], : self._counts.shape[1]] = self._counts > 0
-        coarse = mask.reshape(u // stride, stride, v // stride, stride).any(axis=(1, 3))
+        u, v = (-(-n // stride) for n in self._counts.shape)
+        coarse = np.zeros((u, v), np.bool_)
+        kernels.coarsen(coarse, self._counts, stride)
         labels, n = ndimage.label(coarse, structure=np.ones((3, 3)))
         return int(n), labels.astype(np.int32), stride
 
@@ -157,22 +161,36 @@ class Coverage:
     def shape(self, least_hole_m2: float, tolerance_m: float) -> Any:
         """What is covered as a shapely (multi)polygon in u, v [m]: gaps of one cell closed, borders simplified to
         `tolerance_m`, holes below `least_hole_m2` filled."""
-        mask = np.pad(self._counts > 0, 3)
+        (u0, u1), (v0, v1) = (_ends(line > 0) for line in (self._rows, self._columns))
+        mask = np.pad(self._counts[u0:u1, v0:v1] > 0, 3)
         mask = ndimage.binary_closing(mask, structure=np.ones((3, 3)))
-        edges = sum(int(np.count_nonzero(np.diff(mask, axis=axis))) for axis in (0, 1))
-        corners = np.empty((edges + 4, 2), np.int32)
-        ends = np.empty(edges + 4, np.int64)
+        edges = sum(int(np.count_nonzero(mask[1:] != mask[:-1])) for mask in (mask, mask.T))
+        corners = np.empty((edges, 2), np.int32)
+        ends = np.empty(edges, np.int64)
         n = kernels.trace(mask, corners, ends)
-        rings = [(ring + self._low - 3) * self.cell_size_m for ring in np.split(corners, ends[:n])[:n]]
-        outer, inner = [], []
-        for ring in rings:
-            x, y = ring[:, 0], ring[:, 1]
-            area = 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
-            if area > 0.0:
-                outer.append(shapely.Polygon(ring))
-            elif -area >= least_hole_m2:
-                inner.append(shapely.Polygon(ring))
-        whole = shapely.union_all(outer)
-        if inner:
-            whole = whole.difference(shapely.union_all(inner))
+        origin = self._low + np.array([u0 - 3, v0 - 3])
+        area = np.empty(n)
+        kernels.ring_areas(area, corners, ends)
+        rings = [(ring + origin) * self.cell_size_m for ring in np.split(corners, ends[:n])[:n]]
+        outer = [_valid(rings[k]) for k in np.flatnonzero(area > 0.0)]
+        holes = [_valid(rings[k]) for k in np.flatnonzero(-area * self.cell_size_m**2 >= least_hole_m2)]
+        whole = (
+            shapely.MultiPolygon(outer)
+            if all(part.geom_type == "Polygon" for part in outer)
+            else shapely.union_all(outer)
+        )
+        if holes:
+            whole = whole.difference(shapely.union_all(holes))
         return whole.simplify(tolerance_m)
+
+
+def _ends(covered: Array) -> tuple[int, int]:
+    """The first covered row and one past the last; none are 0 and 0."""
+    at = np.flatnonzero(covered)
+    return (int(at[0]), int(at[-1]) + 1) if len(at) else (0, 0)
+
+
+def _valid(ring: Array) -> Any:
+    """A ring as a polygon; where it touches itself, as several."""
+    polygon = shapely.Polygon(ring)
+    return polygon if polygon.is_valid else shapely.make_valid(polygon)

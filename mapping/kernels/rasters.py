@@ -75,6 +75,15 @@ def covered_near(hit: Array, counts: Array, cell: Array, reach: int) -> None:
 
 
 @njit(cache=True)
+def coarsen(coarse: Array, counts: Array, stride: int) -> None:
+    """Mark the coarse cells, of `stride`² cells each, that hold a covered cell; `coarse` of zeros, in place."""
+    for u in range(counts.shape[0]):
+        for v in range(counts.shape[1]):
+            if counts[u, v] > 0:
+                coarse[u // stride, v // stride] = True
+
+
+@njit(cache=True)
 def trace(mask: Array, corners: Array, ring_end: Array) -> int:
     """The borders of the covered cells as rings of grid corners, in place; returns how many rings.
 
@@ -120,3 +129,17 @@ def trace(mask: Array, corners: Array, ring_end: Array) -> int:
                 ring_end[rings] = n
                 rings += 1
     return rings
+
+
+@njit(cache=True)
+def ring_areas(area: Array, corners: Array, ring_end: Array) -> None:
+    """Signed area of each ring that `trace` found, counter-clockwise positive; area (R,) float64, in place."""
+    begin = 0
+    for r in range(len(area)):
+        twice = 0
+        last = ring_end[r] - 1
+        for i in range(begin, ring_end[r]):
+            twice += np.int64(corners[last, 0]) * corners[i, 1] - np.int64(corners[i, 0]) * corners[last, 1]
+            last = i
+        area[r] = 0.5 * twice
+        begin = ring_end[r]
