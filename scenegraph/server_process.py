@@ -55,9 +55,8 @@ def server_process(world: str, store: Path, log: Path) -> Iterator[str]:
 
 def _await_start(process: subprocess.Popen[bytes], out: IO[bytes], log: Path) -> None:
     ready, _, _ = select.select([out], [], [], _START_S)
-    line = out.readline() if ready else b""
-    if line:
-        json.loads(line)  # where it listens
+    told = json.loads((out.readline() if ready else b"") or b"{}")  # where it listens, or what its problem is
+    if "endpoint" in told:
         return
     if ready:
         process.wait(_SAVE_S)

@@ -16,8 +16,9 @@ from scenegraph.cli import app
 from scenegraph.config import WorldConfig
 from scenegraph.evaluation import Evaluation
 from scenegraph.service import Server
-from scenegraph.simulation import Tour, simulate_home
 from scenegraph.world import World
+from tests.support.corners import kitchen_corner
+from tests.support.homes import home
 from tests.support.net import free_endpoint
 
 ROOT = Path(__file__).parents[2]
@@ -41,16 +42,13 @@ def commands() -> list[list[str]]:
 
 
 class OneCorner:
-    """A home of which only a corner of the kitchen is looked at, three times, so that things are believed."""
+    """A home of which only a corner of the kitchen is looked at."""
 
     def __init__(self, seed: int) -> None:
-        self.home = simulate_home(seed)
+        self.seed = seed
 
     def observe(self, images_per_room: int):
-        tour = Tour(self.home, images_per_room=1)
-        room = next(room.id for room in self.home.rooms if room.kind == "kitchen")
-        tour.steps = 3 * tuple(step for step in tour.steps if step.room == room)[:3]
-        return self.home.observe(tour=tour, noise="none")
+        return home(self.seed).observe(tour=kitchen_corner(self.seed, images_per_room), noise="none")
 
 
 def test_the_first_program_runs(tmp_path, monkeypatch, capsys):
