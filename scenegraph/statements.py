@@ -79,9 +79,16 @@ def _plain(kind: str, term: Term) -> Any:
 
 
 def parse(text: str, knowledge: KnowledgeBase) -> Term:
-    """The term that `text` spells. Raises `ReasoningError` on a syntax error."""
-    [answer] = knowledge.call(Compound("term_string", (Var("Term"), text)), limit=1)
-    return answer["Term"]
+    """The term that `text` spells, with or without a full stop. Raises `ReasoningError` on a syntax error.
+
+    Prolog reads up to a full stop and forgets the rest; in brackets the rest would be an error.
+    """
+    whole = text.strip().removesuffix(".")
+    [plain] = knowledge.call(Compound("term_string", (Var("Term"), whole)), limit=1)
+    [bracketed] = knowledge.call(Compound("term_string", (Var("Term"), f"({whole}\n)")), limit=1)
+    if plain["Term"] != bracketed["Term"] and _ground(plain["Term"]):
+        raise InvalidStatement(f"statement: {text!r} is more than one statement")
+    return plain["Term"]
 
 
 def problem(error: SceneGraphError) -> Problem:

@@ -46,9 +46,10 @@ class Perception:
     def perceive(self, seen: MapChange, graph: SceneGraph, stamp_ns: int, source: str) -> GraphChanges:
         """Everything that follows from one observation's change of the map."""
         changes = self._found(graph, stamp_ns)
-        changes.extend(
-            self.structure.update(self._map.planes, seen.planes, self._evidence, self._meaning.label_planes, stamp_ns)
+        structure_changes = self.structure.update(
+            self._map.planes, seen.planes, self._evidence, self._meaning.label_planes, stamp_ns
         )
+        changes.extend(_still_possible(structure_changes, graph))
         labelled = self.structure.fresh
         self.building.update(labelled, seen.planes.deleted)
         self.rooms.forget_walls(seen.planes.deleted)
@@ -56,7 +57,7 @@ class Perception:
         object_changes, reshaped = self.objects.update(self._map.instances, seen.instances, graph)
         changes.extend(object_changes)
         room_changes, moved_rooms = self.rooms.update(self._map.occupancy, seen.occupancy, labelled, graph, stamp_ns)
-        changes.extend(room_changes)
+        changes.extend(_still_possible(room_changes, graph))
 
         _house_rooms(changes, graph)
         _keep_told(changes, graph)
@@ -175,6 +176,19 @@ class Perception:
 
 def _with(node: Node, **attributes: Any) -> Node:
     return node.replace(attributes={**node.attributes, **attributes})
+
+
+def _still_possible(wishes: GraphChanges, graph: SceneGraph) -> GraphChanges:
+    """The changes without the deletion of nodes that are not there: an operator deleted them before."""
+    possible = GraphChanges()
+    for step in wishes.steps:
+        if isinstance(step, Node | Edge):
+            possible.put(step)
+        elif not isinstance(step, NodeDeletion):
+            possible.delete_edge(*step)
+        elif step.id in graph:
+            possible.delete_node(step.id, step.reason, step.became)
+    return possible
 
 
 def _house_rooms(changes: GraphChanges, graph: SceneGraph) -> None:

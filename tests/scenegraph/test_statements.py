@@ -1,0 +1,232 @@
+"""What an operator states is in the graph and in the answers, and what makes no sense is refused with a reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from scenegraph.world import World
+from tests.support import small_home
+from tests.support.small_home import id_of, room_at, stamp
+
+Copy = Callable[[], World]
+
+
+@pytest.fixture(scope="module")
+def world(copy_home: Copy) -> World:
+    """One world for all statements that do not get in each other's way."""
+    return copy_home()
+
+
+def tell(world: World, statement: str, **how: str) -> None:
+    result = world.tell(statement, author=how.get("author", "ann"), reason=how.get("reason", ""))
+    assert result.problem is None, result.problem
+    assert result.accepted
+    assert result.revision == world.graph.revision
+
+
+def look_again(world: World, first: int, step: int = 4) -> None:
+    """Map on, with times of their own."""
+    for n, image in enumerate(small_home.images()[::step]):
+        world.integrate(image.model_copy(update={"stamp_ns": stamp(first + n)}))
+
+
+# -- each form ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_fact_can_be_asked_for_until_it_is_retracted(world: World) -> None:
+    assert world.ask("fact(owner(table, X))").truth != "true"
+    tell(world, "fact(owner(table, ann))")
+    [row] = list(world.ask("fact(owner(table, X))"))
+    assert row["X"] == "ann"
+    tell(world, "retract(owner(table, ann))")
+    assert world.ask("fact(owner(table, X))").truth != "true"
+
+
+def test_a_new_name_is_in_the_graph_and_outlives_mapping(copy_home: Copy) -> None:
+    world = copy_home()
+    oven, room, wall = (
+        id_of(world, "oven"),
+        room_at(world, small_home.BEDROOM),
+        world.graph.nodes("structure", label="wall")[0].id,
+    )
+    for node, name in ((oven, "old stove"), (room, "guest room"), (wall, "north wall")):
+        tell(world, f"rename({node}, '{name}')", reason="sign on the door")
+        assert world.graph.node(node).attributes["name"] == name
+    look_again(world, 100)
+    assert world.graph.node(oven).attributes["name"] == "old stove"
+    assert world.graph.node(room).attributes["name"] == "guest room"
+    assert world.graph.node(wall).attributes["name"] == "north wall"
+
+
+def test_an_attribute_is_set_and_can_be_asked_for(world: World) -> None:
+    stool = id_of(world, "stool")
+    for value, stored in (("red", "red"), ("3", 3), ("2.5", 2.5), ("true", True), ('"a text"', "a text")):
+        tell(world, f"set({stool}, color, {value})")
+        assert world.graph.node(stool).attributes["color"] == stored
+
+
+def test_a_room_type_that_was_told_counts_more_than_the_rules(copy_home: Copy) -> None:
+    world = copy_home()
+    room = room_at(world, small_home.BEDROOM)
+    tell(world, f"set({room}, type, study)")
+    assert world.graph.node(room).attributes["type"] == "study"
+    assert world.ask("in(bed, study)").truth == "true"
+    look_again(world, 100, step=9)
+    assert world.graph.node(room).attributes["type"] == "study"
+
+
+def test_things_that_are_one_are_merged_and_stay_so(copy_home: Copy) -> None:
+    world = copy_home()
+    vase, book = id_of(world, "vase"), id_of(world, "book")
+    views = world.graph.node(vase).attributes["views"]
+    tell(world, f"merge({vase}, {book})")
+    assert book not in world.graph
+    assert world.graph.tombstone(book).became == vase  # type: ignore[union-attr]
+    assert world.graph.node(vase).attributes["views"] > views  # type: ignore[operator]
+    assert not [e for e in world.graph.edges() if book in (e.source, e.target)]
+    assert world.ask(f"on(X, {id_of(world, 'table')})").truth == "true"
+
+
+def test_a_deleted_thing_is_gone_from_graph_and_answers(copy_home: Copy) -> None:
+    world = copy_home()
+    table, vase = id_of(world, "table"), id_of(world, "vase")
+    tell(world, f"delete({vase})", reason="broken")
+    assert vase not in world.graph
+    assert world.graph.tombstone(vase).reason == "broken"  # type: ignore[union-attr]
+    assert {row["X"].label for row in world.ask("on(X, table)")} == {"book"}
+    assert all(e.source != vase for e in world.graph.edges("on", target=table))
+    look_again(world, 100, step=6)
+    assert vase not in world.graph, "an id is given once"
+
+
+@pytest.mark.parametrize("layer", ["room", "structure", "agent", "building"])
+def test_mapping_goes_on_after_any_node_was_deleted(copy_home: Copy, layer: str) -> None:
+    world = copy_home()
+    for node in world.graph.nodes(layer):
+        tell(world, f"delete({node.id})")
+    look_again(world, 100, step=3)
+    world.integrate(small_home.robot_at(1.0, 1.0, stamp(200)))
+    assert {n.label for n in world.graph.nodes("object")} == {"table", "vase", "book", "oven", "bed", "stool"}
+
+
+def test_a_drawn_room_takes_its_things(copy_home: Copy) -> None:
+    world = copy_home()
+    tell(world, "room('dining corner', [[0.0, 1.6], [2.0, 1.6], [2.0, 3.4], [0.0, 3.4]])")
+    [corner] = [n for n in world.graph.nodes("room") if n.attributes.get("name") == "dining corner"]
+    assert room_at(world, (1.0, 2.3)) == corner.id
+    assert world.graph.edge("in", id_of(world, "table"), corner.id) is not None
+    assert world.graph.edge("in", corner.id, "building_1") is not None
+    assert world.graph.edge("in", id_of(world, "oven"), room_at(world, (2.5, 0.5))) is not None
+    things = [e.source for e in world.graph.edges("in", target=corner.id)]
+    assert len(things) == len(set(things))
+    look_again(world, 100)
+    assert room_at(world, (1.0, 2.3)) == corner.id
+    assert world.graph.edge("in", id_of(world, "table"), corner.id) is not None
+
+
+def test_statements_are_kept_with_author_and_reason(copy_home: Copy) -> None:
+    world = copy_home()
+    tell(world, "fact(tidy(kitchen))", author="operator", reason="saw it")
+    [told] = world.statements
+    assert (told.kind, told.text, told.author, told.reason) == ("fact", "fact(tidy(kitchen))", "operator", "saw it")
+    world.tell("nonsense", author="operator")
+    assert world.statements == [told], "what was refused is not kept"
+
+
+# -- each refusal ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("statement", "code", "words"),
+    [
+        ("", "invalid_statement", "statement"),
+        ("rename(object_1", "invalid_statement", "statement"),
+        ("rename(object_1, 'x'). halt", "invalid_statement", "statement"),
+        ("fact(a). fact(b)", "invalid_statement", "statement"),
+        ("fact(a)) , (fact(b)", "invalid_statement", "statement"),
+        ("hello", "invalid_statement", "none of those known"),
+        ("shell('ls')", "invalid_statement", "none of those known"),
+        ("rename(object_1)", "invalid_statement", "none of those known"),
+        ("rename(object_1, Name)", "invalid_statement", "variable"),
+        ("fact(near(X, oven))", "invalid_statement", "variable"),
+        ("fact(owner(_))", "invalid_statement", "variable"),
+        ("set(object_1, color, f(x))", "invalid_statement", "names, numbers and texts"),
+        ("rename(object_4711, 'x')", "unknown_node", "object_4711"),
+        ("set(object_4711, a, 1)", "unknown_node", "object_4711"),
+        ("delete(object_4711)", "unknown_node", "object_4711"),
+        ("merge(object_1, object_4711)", "unknown_node", "object_4711"),
+        ("merge(object_1, object_1)", "invalid_statement", "twice"),
+        ("merge(object_1, room_1)", "invalid_statement", "room_1"),
+        ("merge(room_1, room_2)", "invalid_statement", "room_1"),
+        ("delete(17)", "invalid_statement", "delete"),
+        ("rename(true, 'x')", "invalid_statement", "rename"),
+        ("room('a', 3)", "invalid_statement", "room"),
+        ("room('a', [])", "invalid_statement", "room"),
+        ("room('a', [[0, 0], [1, 1]])", "invalid_statement", "room"),
+        ("room('a', [[0, 0], [1, x], [1, 1]])", "invalid_statement", "room"),
+        ("room('a', [[0, 0], [1.0e9, 0], [1.0e9, 1.0e9]])", "invalid_statement", "room"),
+    ],
+)
+def test_a_statement_that_makes_no_sense_is_refused_and_changes_nothing(
+    world: World, statement: str, code: str, words: str
+) -> None:
+    before, told = world.graph.snapshot(), list(world.statements)
+    result = world.tell(statement, author="ann")
+    assert not result.accepted
+    assert result.problem is not None
+    assert result.problem.code == code
+    assert words in result.problem.message
+    assert result.revision == before.revision
+    assert world.graph.snapshot() == before
+    assert world.statements == told
+
+
+def test_a_statement_without_an_author_is_refused(world: World) -> None:
+    result = world.tell("fact(tidy(kitchen))", author="")
+    assert not result.accepted
+    assert "author" in result.problem.message  # type: ignore[union-attr]
+
+
+def test_an_unknown_node_is_refused_with_the_nearest_name(world: World) -> None:
+    result = world.tell("rename(objekt_1, 'x')", author="ann")
+    assert result.problem is not None
+    assert "object_1" in f"{result.problem.message} {result.problem.hint}"
+
+
+atoms = st.sampled_from(
+    ["object_1", "room_1", "plane_1", "building_1", "agent_rob", "a", "'B c'", "[]", "{}", "''", "'\\n'"]
+)
+numbers = st.sampled_from(["0", "-1", "3.5", "1.0e300", "123456789012345678901234567890", "inf", "nan", "1r3", "0'a"])
+texts = st.sampled_from(['"text"', '""', '"\\x0\\"', "`codes`"])
+terms = st.recursive(
+    st.one_of(atoms, numbers, texts),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3).map(lambda items: f"[{', '.join(items)}]"),
+        st.tuples(
+            st.sampled_from(["f", "fact", "+", "dict", "position", "X"]), st.lists(inner, min_size=1, max_size=3)
+        ).map(lambda t: f"{t[0]}({', '.join(t[1])})"),
+    ),
+    max_leaves=6,
+)
+FORMS = st.sampled_from(["fact/1", "retract/1", "rename/2", "set/3", "room/2", "merge/2"])
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+)
+@given(form=FORMS, arguments=st.lists(terms, min_size=3, max_size=3))
+def test_no_statement_breaks_the_world(world: World, form: str, arguments: list[str]) -> None:
+    name, arity = form.split("/")
+    statement = f"{name}({', '.join(arguments[: int(arity)])})"
+    before = world.graph.revision
+    result = world.tell(statement, author="ann")
+    assert result.accepted == (result.problem is None)
+    assert result.revision == world.graph.revision >= before
+    if not result.accepted:
+        assert world.graph.revision == before
+    assert world.ask("bed(X)").truth == "true"
+    world.graph.snapshot().model_dump_json()
