@@ -148,9 +148,11 @@ class PlaceFinder:
             badness = away - clearance[tuple(cells.T)]
         else:
             away = shapely.distance(target, footprint)
-            badness = np.where(away <= STAND_OFF_M + self._radius(robot), away, np.inf) - 0.3 * np.minimum(
-                clearance[tuple(cells.T)], 1.0
-            )
+            near = away <= STAND_OFF_M + self._radius(robot)
+            rooms = [shapely.Polygon(r.attributes["footprint"]) for r in self._rooms_of(nodes)]
+            if rooms:  # a place behind the wall is no place beside the thing
+                near &= shapely.contains_xy(shapely.union_all(rooms), xy[:, 0], xy[:, 1])
+            badness = np.where(near, away, np.inf) - 0.3 * np.minimum(clearance[tuple(cells.T)], 1.0)
         focus = np.array(footprint.centroid.coords[0])
         poses: list[GoalPose] = []
         chosen: list[Array] = []
@@ -211,12 +213,17 @@ class PlaceFinder:
             return None
         return np.asarray(max(wanted, key=lambda a: a.last_seen_ns).position[:2])
 
-    def _floor_z(self, nodes: Sequence[Node]) -> float:
+    def _rooms_of(self, nodes: Sequence[Node]) -> list[Node]:
+        """The rooms among nodes, and those that the others are in."""
         rooms = [n for n in nodes if n.layer == "room"]
         for node in nodes:
             for edge in self._graph.edges("in", source=node.id):
                 target = self._graph.node(edge.target)
                 rooms += [target] if target.layer == "room" else []
+        return rooms
+
+    def _floor_z(self, nodes: Sequence[Node]) -> float:
+        rooms = self._rooms_of(nodes)
         heights = [float(r.attributes["floor_z"]) for r in rooms if "floor_z" in r.attributes]
         if heights:
             return min(heights)
