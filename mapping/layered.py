@@ -33,7 +33,8 @@ REGISTRATION_RANGE_M = 4.5
 
 @dataclass(frozen=True)
 class MapChange:
-    """What one observation changed on each floor of the map; `T_map_camera`: an image's pose as the map corrected it."""
+    """What one observation changed on each floor of the map; `T_map_camera`: an image's pose as the map corrected
+    it."""
 
     occupancy: Changed
     tsdf: Changed

@@ -222,3 +222,52 @@ def taut_length(blocked: Array, way: Array) -> float:
         total += np.sqrt(float((way[to, 0] - way[at, 0]) ** 2 + (way[to, 1] - way[at, 1]) ** 2))
         at = to
     return total
+
+
+@njit(cache=True)
+def sight(points: Array, walls: Array) -> Array:
+    """(N, N) float64: distances between ground points (N, 2) that see each other past walls, inf where they do not.
+
+    walls : (M, 4) segments x0, y0, x1, y1 that block sight; touching one is not yet crossing it
+    """
+    n = len(points)
+    distance = np.full((n, n), np.inf)
+    for i in range(n):
+        distance[i, i] = 0.0
+        for j in range(i + 1, n):
+            px, py = points[i]
+            qx, qy = points[j]
+            free = True
+            for w in range(len(walls)):
+                ax, ay, bx, by = walls[w]
+                s1 = (qx - px) * (ay - py) - (qy - py) * (ax - px)
+                s2 = (qx - px) * (by - py) - (qy - py) * (bx - px)
+                s3 = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
+                s4 = (bx - ax) * (qy - ay) - (by - ay) * (qx - ax)
+                if s1 * s2 < 0.0 and s3 * s4 < 0.0:
+                    free = False
+                    break
+            if free:
+                distance[i, j] = distance[j, i] = np.sqrt((px - qx) ** 2 + (py - qy) ** 2)
+    return distance
+
+
+@njit(cache=True)
+def shortest_chain(distance: Array, start: int, goal: int) -> float:
+    """Length of the shortest chain of steps (N, N) from one point to another, inf where there is none (Dijkstra
+    1959)."""
+    n = len(distance)
+    cost = np.full(n, np.inf)
+    done = np.zeros(n, dtype=np.bool_)
+    cost[start] = 0.0
+    for _ in range(n):
+        here = -1
+        for i in range(n):
+            if not done[i] and cost[i] < np.inf and (here < 0 or cost[i] < cost[here]):
+                here = i
+        if here < 0 or here == goal:
+            break
+        done[here] = True
+        for j in range(n):
+            cost[j] = min(cost[j], cost[here] + distance[here, j])
+    return float(cost[goal])

@@ -149,36 +149,35 @@ def number_masks(keys: Array, mask: Array) -> Array:
 
 
 @njit(cache=True)
-def local_peaks(mask: Array, distance: Array, reach: int, peak: Array) -> None:
-    """The largest distance from the boundary that a mask attains near each of its pixels, in place.
+def local_peaks(mask: Array, distance: Array, peak: Array) -> None:
+    """How deep a mask is around each of its pixels, in place: the largest distance from its boundary, fading with
+    half a
+    pixel a pixel.
 
-    mask (H, W) int32, 0 = none; distance (H, W) uint8; peak (H, W) uint8, out: the largest distance within about
-    `reach` pixels, along the mask. Two raster sweeps hand peaks on, as a chamfer transform does.
+    mask (H, W) int32, 0 = none; distance (H, W) uint8 [px]; peak (H, W) uint8, out [half pixels]: the largest of
+    2 · distance(q) − steps from q along the mask. Two raster sweeps, as for a chamfer distance.
     """
     height, width = mask.shape
-    travel = np.zeros((height, width), dtype=np.uint8)
     for v in range(height):
         for u in range(width):
-            best, far = distance[v, u], np.uint8(0)
+            best = 2 * int(distance[v, u])
             if mask[v, u]:
                 for n in range(4):
                     a = v if n == 0 else v - 1
                     b = u - 1 if n < 2 else u + n - 2
-                    if a < 0 or b < 0 or b >= width or mask[a, b] != mask[v, u]:
-                        continue
-                    if peak[a, b] > best and travel[a, b] < reach:
-                        best, far = peak[a, b], np.uint8(travel[a, b] + 1)
-            peak[v, u], travel[v, u] = best, far
+                    if a >= 0 and b >= 0 and b < width and mask[a, b] == mask[v, u]:
+                        best = max(best, int(peak[a, b]) - 1)
+            peak[v, u] = best
     for v in range(height - 1, -1, -1):
         for u in range(width - 1, -1, -1):
-            if not mask[v, u]:
-                continue
-            for n in range(4):
-                a, b = (v, u + 1) if n == 0 else (v + 1, u + 1) if n == 1 else (v + 1, u) if n == 2 else (v + 1, u - 1)
-                if a >= height or b < 0 or b >= width or mask[a, b] != mask[v, u]:
-                    continue
-                if peak[a, b] > peak[v, u] and travel[a, b] < reach:
-                    peak[v, u], travel[v, u] = peak[a, b], np.uint8(travel[a, b] + 1)
+            if mask[v, u]:
+                best = int(peak[v, u])
+                for n in range(4):
+                    a = v if n == 0 else v + 1
+                    b = u + 1 if n < 2 else u - n + 2
+                    if a < height and b >= 0 and b < width and mask[a, b] == mask[v, u]:
+                        best = max(best, int(peak[a, b]) - 1)
+                peak[v, u] = best
 
 
 @njit(cache=True)

@@ -19,7 +19,12 @@ Array: TypeAlias = NDArray[Any]
 SOLID = frozenset({"wall", "floor", "ceiling"})
 INSET_M = 0.06
 """Segments between two surfaces begin and end this far from them: a picture's points straddle the wall it hangs on."""
-WAY_CELL_M = 0.05
+WALL_STEP_M = 0.025
+"""How finely it is told where a wall ends."""
+CORNER_GAP_M = 0.08
+"""Where a wall ends, as against where it opens, it goes on this far, to meet the next."""
+CORNER_M = 0.01
+"""How far from the end of a wall a way leads past it."""
 
 
 class Building:
@@ -110,50 +115,61 @@ class Building:
         """Shortest way from p to q around walls, through observed space only and with unknown passable [m]; inf if
         longer.
 
-        The way is looked for on the ground, at the height of the two points, and pulled taut.
+        The way leads over the ground along the ends of what was seen of the walls at the heights of the two points
+        (visibility graph), so it is exact up to how finely walls are known.
         """
         p, q = np.asarray(p, dtype=np.float64), np.asarray(q, dtype=np.float64)
-        low, high = np.minimum(p, q) - limit_m, np.maximum(p, q) + limit_m
-        z_low, z_high = min(p[2], q[2]), max(p[2], q[2])
-        origin = np.floor(low[:2] / WAY_CELL_M).astype(np.int64)
-        shape = tuple((np.floor(high[:2] / WAY_CELL_M).astype(np.int64) - origin + 1).tolist())
-        blocked = np.zeros(shape, bool)
-        for node in self._walls.within((low, high), 0.0):
-            points = self._wall_points(node, low, high, (z_low, 0.5 * (z_low + z_high), z_high))
-            cells = np.floor(points / WAY_CELL_M).astype(np.int64) - origin
-            cells = cells[((cells >= 0) & (cells < shape)).all(axis=1)]
-            blocked[cells[:, 0], cells[:, 1]] = True
-        ends = [(np.floor(e[:2] / WAY_CELL_M).astype(np.int64) - origin).tolist() for e in (p, q)]
+        reach = 0.5 * limit_m
+        low, high = np.minimum(p, q) - reach, np.maximum(p, q) + reach
+        heights = (min(p[2], q[2]), 0.5 * (p[2] + q[2]), max(p[2], q[2]))
+        parts = [self._seen_parts(node, low, high, heights) for node in self._walls.within((low, high), 0.0)]
+        walls = np.concatenate(parts) if parts else np.empty((0, 4))
+        along = (walls[:, 2:] - walls[:, :2]) / np.maximum(np.linalg.norm(walls[:, 2:] - walls[:, :2], axis=1), 1e-9)[
+            :, None
+        ]
+        corners = np.concatenate([walls[:, :2] - CORNER_M * along, walls[:, 2:] + CORNER_M * along])
+        points = np.concatenate([[p[:2], q[:2]], corners])
+        steps = kernels.sight(points, walls)
         rise = abs(float(p[2] - q[2]))
-        lower = self._taut(blocked, ends, rise, limit_m)
+        lower = self._length(steps, rise, limit_m)
         if not np.isfinite(lower):
             return np.inf, np.inf
-        middle = 0.5 * (z_low + z_high)
-        ij = np.indices(shape).reshape(2, -1).T
-        centres = np.column_stack([(ij + origin + 0.5) * WAY_CELL_M, np.full(len(ij), middle)])
-        unknown = (self._occupancy.classify(centres) < FREE).reshape(shape)
-        return self._taut(blocked | unknown, ends, rise, limit_m), lower
+        return self._length(self._through_seen_space(steps, points, heights[1]), rise, limit_m), lower
 
-    def _wall_points(self, node: str, low: Array, high: Array, heights: tuple[float, ...]) -> Array:
-        """Ground points (N, 2), half a cell apart, of the part of a wall that was seen at one of the heights."""
+    def _seen_parts(self, node: str, low: Array, high: Array, heights: tuple[float, ...]) -> Array:
+        """The parts (M, 4) of a wall, x0, y0, x1, y1, that were seen at one of the heights, between two corners
+        (3,)."""
         normal, offset, along, start, end = self._lines[node]
         corners = np.array([low[:2], [low[0], high[1]], high[:2], [high[0], low[1]]]) @ along
-        steps = np.arange(max(start, corners.min()), min(end, corners.max()), 0.5 * WAY_CELL_M)
+        steps = np.arange(max(start, corners.min()), min(end, corners.max()), WALL_STEP_M)
         ground = offset * normal + steps[:, None] * along
-        seen = np.zeros(len(ground), bool)
+        seen = np.zeros(len(ground) + 2, bool)
+        through = np.array([*normal, 0.0]) * WALL_STEP_M
         for z in heights:
             at = np.column_stack([ground, np.full(len(ground), z)])
-            through = np.array([*normal, 0.0]) * WAY_CELL_M
-            seen |= self._planes.blocks_segment(at - through, at + through, [int(node)])
-        return np.asarray(ground[seen])
+            seen[1:-1] |= self._planes.blocks_segment(at - through, at + through, [int(node)])
+        first, last = np.flatnonzero(seen[1:] & ~seen[:-1]), np.flatnonzero(seen[:-1] & ~seen[1:]) - 1
+        if not len(first):
+            return np.empty((0, 4))
+        at_start, at_end = steps[first] - start < CORNER_GAP_M, end - steps[last] < CORNER_GAP_M
+        before = np.where(at_start, CORNER_GAP_M, 0.5 * WALL_STEP_M)[:, None] * along
+        after = np.where(at_end, CORNER_GAP_M, 0.5 * WALL_STEP_M)[:, None] * along
+        return np.concatenate([ground[first] - before, ground[last] + after], axis=1)
+
+    def _through_seen_space(self, steps: Array, points: Array, z: float) -> Array:
+        """The steps (N, N) that lead through space that was observed; the others are inf."""
+        i, j = np.nonzero(np.isfinite(steps) & (np.arange(len(points))[:, None] < np.arange(len(points))))
+        shares = np.linspace(0.0, 1.0, 20)
+        ground = points[i, None] + shares[None, :, None] * (points[j, None] - points[i, None])
+        at = np.concatenate([ground, np.full((*ground.shape[:2], 1), z)], axis=2).reshape(-1, 3)
+        unseen = (self._occupancy.classify(at) < FREE).reshape(len(i), -1).any(axis=1)
+        steps[i[unseen], j[unseen]] = steps[j[unseen], i[unseen]] = np.inf
+        return steps
 
     @staticmethod
-    def _taut(blocked: Array, ends: list[list[int]], rise: float, limit_m: float) -> float:
-        (a, b), (c, d) = ends
-        way = kernels.shortest_way(blocked, a, b, c, d, 1.1 * limit_m / WAY_CELL_M)
-        if not len(way):
-            return np.inf
-        return float(np.hypot(kernels.taut_length(blocked, way) * WAY_CELL_M, rise))
+    def _length(steps: Array, rise: float, limit_m: float) -> float:
+        length = float(np.hypot(kernels.shortest_chain(steps, 0, 1), rise))
+        return length if length <= limit_m else np.inf
 
     def seen_free(self, points: Array) -> Array:
         """(N,) bool: which points (N, 3) lie in space that was observed to be free."""
