@@ -16,7 +16,7 @@ VOXEL = 0.025
 FLOOR = Block("floor", (0.0, 0.0, -0.1), (6.0, 6.0, 0.2))
 
 
-def box(label: str, x: float, y: float, thing: int, size: tuple[float, float, float] = (0.3, 0.3, 0.3)) -> Block:
+def box(label: str, x: float, y: float, thing: int, size: tuple[float, float, float] = (0.29, 0.29, 0.29)) -> Block:
     return Block(label, (x, y, 0.5 * size[2]), size, thing)
 
 
@@ -66,7 +66,7 @@ def test_a_thing_keeps_its_id_when_seen_from_the_other_side() -> None:
     world.look((1.4, 0.0, 1.0))
     world.look((-1.4, 0.0, 1.0))
     assert world.ids == [1], "the top joins both sides"
-    assert world.at(0.149, 0.0, 0.15) == world.at(-0.149, 0.0, 0.15) == 1
+    assert world.at(0.144, 0.0, 0.15) == world.at(-0.144, 0.0, 0.15) == 1
     assert world.map.instances[1].views == 2
     assert (world.map.instances[1].first_seen_ns, world.map.instances[1].last_seen_ns) == (1, 2)
 
@@ -75,7 +75,7 @@ def test_the_points_of_a_thing_lie_on_its_surface() -> None:
     world = Watching(box("crate", 0.0, 0.0, 1))
     world.around()
     points, weights = world.map.points(1)
-    off = np.abs(np.abs(points - (0.0, 0.0, 0.15)).max(axis=1) - 0.15)
+    off = np.abs(np.abs(points - (0.0, 0.0, 0.145)).max(axis=1) - 0.145)
     assert len(points) == len(weights) > 300
     assert np.median(off) < 0.002
     assert np.quantile(off, 0.98) < VOXEL
@@ -83,11 +83,11 @@ def test_the_points_of_a_thing_lie_on_its_surface() -> None:
 
 
 def test_touching_things_with_masks_of_their_own_stay_two() -> None:
-    world = Watching(box("book", -0.15, 0.0, 1), box("book", 0.15, 0.0, 2))
+    world = Watching(box("book", -0.145, 0.0, 1), box("book", 0.145, 0.0, 2))
     world.around(16)
     assert len(world.ids) == 2
     assert not world.merged
-    assert world.at(-0.1, 0.149, 0.2) != world.at(0.1, 0.149, 0.2)
+    assert world.at(-0.1, 0.144, 0.2) != world.at(0.1, 0.144, 0.2)
     sizes = [len(world.map.points(i)[0]) for i in world.ids]
     assert max(sizes) < 1.25 * min(sizes)
 
@@ -95,10 +95,10 @@ def test_touching_things_with_masks_of_their_own_stay_two() -> None:
 def test_mask_ids_mean_nothing_from_one_image_to_the_next() -> None:
     world = Watching(box("crate", -0.4, 0.0, 1), box("crate", 0.4, 0.0, 2))
     world.around(4)
-    first = (world.at(-0.4, 0.0, 0.299), world.at(0.4, 0.0, 0.299))
+    first = (world.at(-0.4, 0.0, 0.289), world.at(0.4, 0.0, 0.289))
     world.around(4, masks={1: 9, 2: 1})
     assert len(world.ids) == 2
-    assert (world.at(-0.4, 0.0, 0.299), world.at(0.4, 0.0, 0.299)) == first
+    assert (world.at(-0.4, 0.0, 0.289), world.at(0.4, 0.0, 0.289)) == first
 
 
 @pytest.mark.parametrize("first", [0.5, 0.9, 1.3])
@@ -106,7 +106,7 @@ def test_fragments_become_one_when_a_mask_covers_both(first: float) -> None:
     """A long bench first seen in two parts, then whole; the part seen first may be the smaller one."""
     middle, second = -0.9 + first, 1.8 - first
     left, right = middle - 0.5 * first, middle + 0.5 * second
-    world = Watching(box("bench", left, 0.0, 1, (first, 0.3, 0.3)), box("bench", right, 0.0, 2, (second, 0.3, 0.3)))
+    world = Watching(box("bench", left, 0.0, 1, (first, 0.29, 0.29)), box("bench", right, 0.0, 2, (second, 0.29, 0.29)))
     world.look((left, 1.0, 1.0), (left, 0.0, 0.1), hide=[2])
     world.look((right, 1.0, 1.0), (right, 0.0, 0.1), hide=[1])
     assert len(world.ids) == 2
@@ -118,7 +118,7 @@ def test_fragments_become_one_when_a_mask_covers_both(first: float) -> None:
     assert world.ids == [1], "the older id stays"
     assert world.merged == {2: 1}
     assert 1 in touched, "the one that stays has changed"
-    assert world.at(left, 0.0, 0.299) == world.at(right, 0.0, 0.299) == 1
+    assert world.at(left, 0.0, 0.289) == world.at(right, 0.0, 0.289) == 1
     assert world.map.instances[1].first_seen_ns == 1
 
 
@@ -151,11 +151,11 @@ def test_things_far_apart_never_share_an_id() -> None:
 
 
 def test_a_small_thing_before_a_large_one_of_another_class_keeps_its_own_id() -> None:
-    world = Watching(box("shelf", 0.0, -0.4, 1, (1.2, 0.3, 1.0)), box("vase", 0.0, -0.1, 2, (0.15, 0.15, 0.25)))
+    world = Watching(box("shelf", 0.0, -0.4, 1, (1.2, 0.3, 1.0)), box("vase", 0.0, -0.1, 2, (0.14, 0.14, 0.25)))
     for x in (-0.8, -0.3, 0.3, 0.8):
         world.look((x, 1.5, 1.0), (0.0, -0.2, 0.3))
     assert len(world.ids) == 2
-    vase = world.at(0.0, -0.026, 0.15)
+    vase = world.at(0.0, -0.031, 0.15)
     assert world.map.instances[vase].label == world.scene.id_of("vase")
 
 
@@ -171,15 +171,15 @@ def test_what_a_thing_left_behind_belongs_to_nobody_after_a_while() -> None:
 def test_joined_and_forgotten_as_told() -> None:
     world = Watching(box("crate", -0.4, 0.0, 1), box("crate", 0.4, 0.0, 2))
     world.around(4)
-    left, right = world.at(-0.4, 0.0, 0.299), world.at(0.4, 0.0, 0.299)
+    left, right = world.at(-0.4, 0.0, 0.289), world.at(0.4, 0.0, 0.289)
     change = world.map.join(left, right)
     assert change.merged == {right: left}
     assert left in change.touched
     assert world.ids == [left]
-    assert world.at(0.4, 0.0, 0.299) == left
+    assert world.at(0.4, 0.0, 0.289) == left
     world.map.forget(left)
     assert world.ids == []
-    assert world.at(0.4, 0.0, 0.299) == 0
+    assert world.at(0.4, 0.0, 0.289) == 0
     world.around(4)
     assert left not in world.ids, "an id is given once"
     assert world.ids
