@@ -37,6 +37,7 @@ _DOOR = "#d9720b"
 _WINDOW = "#3a9ad9"
 _MAPPED = "#00612e"
 _DPI = 130
+_MARGIN = 50  # around and between the panels, pixels
 _WRONG = "#d60000"
 _AGREE_M = 0.5  # a true thing is lettered as missing when nothing of its label was mapped so near
 
@@ -75,12 +76,16 @@ def draw(
     every[:, 2] = np.minimum(every[:, 2], ceiling)
     views = View.from_above(every), View.in_perspective(every)
     widths = [view.width for view in views]
-    figure = Figure(
-        figsize=((sum(widths) + 140) / _DPI, (views[0].height + 150) / _DPI), dpi=_DPI, layout="constrained"
-    )
+    wide, high = sum(widths) + 3 * _MARGIN, views[0].height + 3 * _MARGIN
+    figure = Figure(figsize=(wide / _DPI, high / _DPI), dpi=_DPI)
     FigureCanvasAgg(figure)
-    top, perspective = figure.subplots(1, 2, width_ratios=widths)
-    for axes, view in zip((top, perspective), views, strict=True):
+    lefts = (_MARGIN, widths[0] + 2 * _MARGIN)
+    panels = [
+        figure.add_axes((left / wide, 1.5 * _MARGIN / high, view.width / wide, view.height / high))
+        for left, view in zip(lefts, views, strict=True)
+    ]
+    top, perspective = panels
+    for axes, view in zip(panels, views, strict=True):
         axes.imshow(view.splat(surface.below(ceiling)), extent=(0, view.width, view.height, 0), interpolation="none")
         sheet = _Sheet(axes, view, Lettering(view.width, view.height, _DPI / 72))
         _draw_rooms(sheet, graph, float(every[:, 2].min()))
@@ -327,7 +332,7 @@ def _legend(figure: Figure, graph: SceneGraph, with_truth: bool, with_path: bool
         )
     if with_path:
         entries.append(Line2D([], [], color=_WAY, linewidth=1, label="way of the robot"))
-    figure.legend(handles=entries, loc="outside lower center", ncols=len(entries), fontsize=9, frameon=False)
+    figure.legend(handles=entries, loc="lower center", ncols=len(entries), fontsize=9, frameon=False)
 
 
 def _title(graph: SceneGraph, title: str | None) -> str:
