@@ -149,3 +149,49 @@ def facing_up(points: np.ndarray, cell: float, least: float, clearance: float) -
         mine = (column == column[n]).all(axis=1)
         result[n] = not (mine & (rise > least) & (rise <= clearance)).any()
     return result
+
+
+def closed_sides(points: np.ndarray, material: np.ndarray, beside: float) -> list[int]:
+    """In how many of ±x, ±y, −z each point meets material."""
+    counts = []
+    for x, y, z in points:
+        met = set()
+        for a, b, c in material:
+            level = 0.0 <= c - z <= 2.0 * beside
+            if abs(b - y) <= beside and level:
+                met.add("+x" if a > x else "-x")
+            if abs(a - x) <= beside and level:
+                met.add("+y" if b > y else "-y")
+            if abs(a - x) <= beside and abs(b - y) <= beside and c < z:
+                met.add("-z")
+        counts.append(len(met))
+    return counts
+
+
+def clusters(points: np.ndarray, cell: float) -> list[set[int]]:
+    """Sets of points whose cells hang together over 26 neighbours."""
+    cells = np.floor(points / cell).astype(int)
+    left, found = set(range(len(points))), []
+    while left:
+        todo = [left.pop()]
+        cluster = set(todo)
+        while todo:
+            a = todo.pop()
+            for b in [b for b in left if np.abs(cells[a] - cells[b]).max() <= 1]:
+                left.discard(b)
+                cluster.add(b)
+                todo.append(b)
+        found.append(cluster)
+    return found
+
+
+def inner_part(points: np.ndarray, weights: np.ndarray, share: float, directions: int, bin_m: float) -> np.ndarray:
+    """Points that in no direction lie in a bin beyond which, it included, less than `share` of the weight lies."""
+    kept = np.ones(len(points), bool)
+    for d in range(directions):
+        angle = np.pi * d / directions
+        along = np.floor((points[:, 0] * np.cos(angle) + points[:, 1] * np.sin(angle)) / bin_m)
+        for p in range(len(points)):
+            below, above = weights[along <= along[p]].sum(), weights[along >= along[p]].sum()
+            kept[p] &= bool(below >= share * weights.sum() and above >= share * weights.sum())
+    return kept

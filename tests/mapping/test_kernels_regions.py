@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -117,3 +118,37 @@ def test_basins_are_connected_and_never_reach_across_walls(free: np.ndarray) -> 
     assert ((labels > 0) == free).all()
     for label in np.unique(labels[labels > 0]):
         assert ndimage.label(labels == label)[1] == 1
+
+
+# -- ways among points -------------------------------------------------------------------------------------------------
+
+places = hnp.arrays(np.float64, (6, 2), elements=st.integers(-20, 20).map(float))
+segments = hnp.arrays(
+    np.float64, st.tuples(st.integers(0, 4), st.just(4)), elements=st.integers(-20, 20).map(lambda n: n + 0.37)
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(points=places, walls=segments)
+def test_points_see_each_other_where_no_wall_crosses_their_line(points: np.ndarray, walls: np.ndarray) -> None:
+    distance = regions.sight(points, walls)
+    assert (distance == distance.T).all()
+    lines = [shapely.LineString(wall.reshape(2, 2)) for wall in walls]
+    for i in range(len(points)):
+        for j in range(i):
+            line = shapely.LineString(points[[i, j]])
+            crossed = any(line.crosses(wall) for wall in lines)
+            expected = np.inf if crossed else line.length
+            assert distance[i, j] == pytest.approx(expected)
+
+
+@settings(max_examples=60, deadline=None)
+@given(points=places, walls=segments, ends=st.tuples(st.integers(0, 5), st.integers(0, 5)))
+def test_the_shortest_chain_is_that_of_floyd_and_warshall(
+    points: np.ndarray, walls: np.ndarray, ends: tuple[int, int]
+) -> None:
+    distance = regions.sight(points, walls)
+    shortest = distance.copy()
+    for k in range(len(points)):
+        shortest = np.minimum(shortest, shortest[:, k, None] + shortest[None, k])
+    assert regions.shortest_chain(distance, *ends) == pytest.approx(shortest[ends])

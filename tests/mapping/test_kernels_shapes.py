@@ -116,3 +116,34 @@ def test_each_column_has_one_bottom_and_each_cell_one_point(points: np.ndarray) 
     kept = columns.thin_out(points, 0.5)
     cells = [tuple(c) for c in np.floor(points / 0.5)]
     assert kept.tolist() == sorted(cells.index(c) for c in set(cells))
+
+
+@settings(max_examples=60, deadline=None)
+@given(points=clouds(3, 6), material=clouds(3, 30), beside=st.sampled_from([0.3, 1.1]))
+def test_closed_sides_are_those_of_the_naive_reference(points: np.ndarray, material: np.ndarray, beside: float) -> None:
+    assert columns.closed_sides(points, material, beside).tolist() == naive.closed_sides(points, material, beside)
+
+
+weighted = clouds(3).flatmap(
+    lambda p: st.tuples(st.just(p), hnp.arrays(np.float64, len(p), elements=st.integers(1, 8).map(float)))
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(weighted=weighted, cell=st.sampled_from([0.6, 1.7]))
+def test_the_largest_cluster_is_that_of_the_naive_reference(
+    weighted: tuple[np.ndarray, np.ndarray], cell: float
+) -> None:
+    points, weights = weighted
+    found = set(np.flatnonzero(columns.largest_cluster(points, weights, cell)).tolist())
+    clusters = naive.clusters(points, cell)
+    assert found in clusters
+    assert weights[list(found)].sum() == max(weights[list(c)].sum() for c in clusters)
+
+
+@settings(max_examples=60, deadline=None)
+@given(weighted=weighted, share=st.sampled_from([0.05, 0.2]))
+def test_the_inner_part_is_that_of_the_naive_reference(weighted: tuple[np.ndarray, np.ndarray], share: float) -> None:
+    points, weights = weighted
+    found = columns.inner_part(points, weights, share, 2, 0.37)
+    assert found.tolist() == naive.inner_part(points, weights, share, 2, 0.37).tolist()

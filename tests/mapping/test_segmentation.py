@@ -44,6 +44,24 @@ def test_pieces_are_those_of_the_naive_reference(keys: np.ndarray, depth: np.nda
     assert as_sets == naive.pieces(keys, depth, 0.02, 0.015)
 
 
+@given(keys=key_images, spread=st.integers(1, 10**9))
+def test_masks_are_numbered_in_order_of_appearance(keys: np.ndarray, spread: int) -> None:
+    keys = keys * spread
+    mask = np.empty(keys.shape, np.int32)
+    names = kernels.number_masks(keys, mask)
+    order = list(dict.fromkeys([0, *keys.ravel().tolist()]))
+    assert names.tolist() == order
+    assert (names[mask] == keys).all()
+
+
+def test_thousands_of_masks_are_told_apart() -> None:
+    keys = np.random.default_rng(0).permutation(6000).reshape(60, 100).astype(np.int64) << 16
+    mask = np.empty(keys.shape, np.int32)
+    names = kernels.number_masks(keys, mask)
+    assert len(names) == 6000
+    assert (names[mask] == keys).all()
+
+
 def image(depth: np.ndarray, labels: np.ndarray, instances: np.ndarray | None = None, **fields: object) -> RgbdImage:
     return RgbdImage(
         stamp_ns=1, robot="r", sensor="c", depth=depth.astype(np.float32), intrinsics=CAMERA,
