@@ -99,7 +99,7 @@ def main() -> None:
 @app.command()
 def demo(
     output: Annotated[Path, typer.Option(help="Folder for the pictures and the report.")] = Path("out/demo"),
-    seed: Annotated[int, typer.Option(help="Which simulated home.")] = 7,
+    seed: Annotated[int, typer.Option(min=0, help="Which simulated home.")] = 7,
     as_json: Json = False,
 ) -> None:
     """Map a simulated home over Zenoh, ask questions about it, and draw it."""

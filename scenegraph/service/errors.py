@@ -7,6 +7,7 @@ ServiceError (a SceneGraphError)
 ├── UnknownWorld         nobody serves this world
 ├── ServerUnreachable    nothing answers at this endpoint (also a ConnectionError)
 ├── ServerTimeout        a server is there, but did not reply in time (also a TimeoutError)
+├── InvalidEndpoint      not an address at which one could listen or call (also a ValueError)
 ├── EndpointUnavailable  a server cannot listen where it was told to
 ├── Overloaded           a bounded queue is full; nothing of the message was kept
 └── RemoteProblem        the server replied with a `Problem`; its code, message and hint are kept
@@ -18,6 +19,7 @@ from scenegraph.errors import Problem, SceneGraphError
 
 __all__ = [
     "EndpointUnavailable",
+    "InvalidEndpoint",
     "InvalidKey",
     "InvalidMessage",
     "Overloaded",
@@ -82,6 +84,12 @@ class ServerTimeout(ServiceError, TimeoutError):
     """The server did not reply in time."""
 
     code = "server_timeout"
+
+
+class InvalidEndpoint(ServiceError, ValueError):
+    """What was given as an endpoint is none."""
+
+    code = "invalid_endpoint"
 
 
 class EndpointUnavailable(ServiceError):

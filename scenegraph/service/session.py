@@ -9,6 +9,7 @@ from typing import Any
 
 import zenoh
 
+from scenegraph.service.errors import InvalidEndpoint
 from scenegraph.service.keys import QualityOfService
 
 __all__ = ["DEFAULT_ENDPOINT", "default_endpoint", "qos_options", "session_config"]
@@ -32,7 +33,10 @@ def session_config(
     message_bytes: int,
     extra: Mapping[str, Any] | None = None,
 ) -> zenoh.Config:
-    """A configuration without multicast and gossip. `extra`: further settings, by path, as JSON values."""
+    """A configuration without multicast and gossip. `extra`: further settings, by path, as JSON values.
+
+    Raises `InvalidEndpoint`.
+    """
     config = zenoh.Config()
     settings: dict[str, Any] = {
         "mode": mode,
@@ -44,7 +48,14 @@ def session_config(
         **(extra or {}),
     }
     for path, value in settings.items():
-        config.insert_json5(path, json.dumps(value))
+        try:
+            config.insert_json5(path, json.dumps(value))
+        except zenoh.ZError:
+            if not path.endswith("/endpoints"):
+                raise
+            raise InvalidEndpoint(
+                f"not an endpoint: {', '.join(map(str, value))}", hint="write it as tcp/ADDRESS:PORT"
+            ) from None
     return config
 
 

@@ -85,3 +85,15 @@ def test_an_endpoint_that_is_taken_is_told(endpoint):
     result = run("serve", "--endpoint", endpoint)
     assert result.exit_code == 2
     assert f"cannot listen at {endpoint}" in result.stderr
+
+
+def test_an_endpoint_that_is_none_is_told_in_one_line():
+    for words in (("status", "--connect", "foo"), ("serve", "--endpoint", "foo")):
+        result = run(*words)
+        assert result.exit_code == 2
+        assert result.stderr.strip() == "error: not an endpoint: foo (write it as tcp/ADDRESS:PORT)"
+
+
+def test_the_demo_refuses_a_seed_below_zero(tmp_path):
+    assert run("demo", "--seed", "-1", "--output", tmp_path / "out").exit_code == 2
+    assert not (tmp_path / "out").exists()
