@@ -327,7 +327,8 @@ class PlaneMap:
         """Part pieces that do not hang together; the largest part keeps the slot."""
         for slot in sorted(touched):
             coverage = self._pieces.coverage(slot)
-            lost = not held.get(slot, set()) <= set(self._pieces.blocks(slot))
+            blocks = self._pieces.blocks(slot)
+            lost = any(key not in blocks for key in held.get(slot, ()))
             if coverage.n_covered == 0 or not (lost or coverage.n_covered >= 1.1 * self._checked.get(slot, 0)):
                 continue
             self._checked[slot] = coverage.n_covered

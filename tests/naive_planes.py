@@ -122,9 +122,10 @@ class Soup:
         points = points + self.noise_m * self._rng.standard_normal((len(points), 1)) * rectangle.normal
         blocks = np.floor(points / (8.0 * self.voxel_size_m)).astype(np.int32)
         self._parts[rectangle] = (points, normals, blocks)
-        changed = np.unique(blocks, axis=0)
-        for key in map(tuple, changed.tolist()):
-            rows = np.flatnonzero((blocks == key).all(axis=1))
+        changed, block_of = np.unique(blocks, axis=0, return_inverse=True)
+        order = np.argsort(block_of.reshape(-1), kind="stable")
+        parts = np.split(order, np.cumsum(np.bincount(block_of.reshape(-1)))[:-1])
+        for key, rows in zip(map(tuple, changed.tolist()), parts, strict=True):
             self._rows.setdefault(key, []).append((rectangle, rows))
         return changed
 

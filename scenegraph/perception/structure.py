@@ -19,6 +19,7 @@ from mapping.planes import Plane, PlaneChange, PlaneMap, PlaneSummary
 from reasoning.knowledge import KnowledgeBase
 from reasoning.terms import Atom, Compound, Term, Var
 from scenegraph.graph import Box, GraphChanges, Node, SceneGraph
+from scenegraph.perception.neighbours import GroundIndex
 from scenegraph.perception.plane_relations import (
     FRONT_M,
     TALLEST_ROOM_M,
@@ -92,6 +93,7 @@ class Structure:
         self.fresh: list[tuple[str, Plane]] = []
         """(label, plane) of the planes that the last update measured or labelled anew."""
         self._passed: dict[int, int] = {}
+        self._index = GroundIndex()
 
     @property
     def labels(self) -> dict[int, str]:
@@ -152,6 +154,7 @@ class Structure:
         for other in neighbours:
             self._between[other].pop(plane_id, None)
         self._passed.pop(plane_id, None)
+        self._index.remove(str(plane_id))
         del self._seen[plane_id], self._label[plane_id], self._node[plane_id]
         reason = "its surface is no longer there" if became is None else "found to be one plane"
         changes.delete_node(f"plane_{plane_id}", reason, None if became is None else f"plane_{became}")
@@ -178,6 +181,7 @@ class Structure:
 
     def _keep(self, facts: PlaneFacts, summary: PlaneSummary, k: int, planes: PlaneMap) -> None:
         points = planes.spread(facts.id, 100)
+        self._index.put(str(facts.id), (summary.low[k], summary.high[k]))
         self._seen[facts.id] = MeasuredPlane(
             facts, summary.normal[k], float(summary.offset[k]), summary.low[k], summary.high[k], points
         )
@@ -200,22 +204,15 @@ class Structure:
         mine: dict[int, list[Relation]] = {}
         self._between[plane_id] = mine
         a = self._seen[plane_id]
-        for other in self._about(a):
-            if other == plane_id or other not in planes:
+        for other in map(int, self._index.within((a.low, a.high), FRONT_M)):
+            b = self._seen[other]
+            level = (a.low[2] <= b.high[2] + TALLEST_ROOM_M) and (b.low[2] <= a.high[2] + TALLEST_ROOM_M)
+            if other == plane_id or not level or other not in planes:
                 continue
-            found = relations_between(a, self._seen[other], planes)
+            found = relations_between(a, b, planes)
             if found:
                 mine[other] = found
                 self._between.setdefault(other, {})[plane_id] = found
-
-    def _about(self, a: MeasuredPlane) -> list[int]:
-        """Ids of the planes whose boxes come within reach of a plane's."""
-        ids = list(self._seen)
-        low = np.array([self._seen[i].low for i in ids])
-        high = np.array([self._seen[i].high for i in ids])
-        reach = np.array([FRONT_M, FRONT_M, TALLEST_ROOM_M])
-        near = ((low <= a.high + reach) & (high >= a.low - reach)).all(axis=1)
-        return [ids[k] for k in np.flatnonzero(near)]
 
     def _relabel(self, active: set[int], label: Labeller) -> set[int]:
         """Label the active planes and their neighbours anew; returns those whose label changed or is new."""
