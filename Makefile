@@ -5,7 +5,11 @@ SHELL := /bin/bash
 
 VENV   := .venv
 BIN    := $(VENV)/bin
-PYTHON ?= $(or $(shell command -v python3.12 || command -v python3.11 || command -v python3.13),python3)
+# The first that really runs and is new enough: a name on the path may be the shim of a version manager.
+ifndef PYTHON
+PYTHON := $(or $(shell for p in python3.12 python3.11 python3.13 python3; do \
+  if $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then echo $$p; break; fi; done),python3)
+endif
 SYSTEM := swi-prolog-nox libegl1 libgl1 libx11-6 libusb-1.0-0
 
 .PHONY: help demo test check format bench setup system clean
@@ -50,7 +54,7 @@ system:
 	elif ! command -v swipl >/dev/null; then \
 	  echo "This system has no apt. Please install SWI-Prolog 9 and the libraries EGL, GL, X11 and libusb 1.0, then run make again."; exit 1; \
 	fi
-	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed; found $$("$(PYTHON)" --version). Set PYTHON=/path/to/python."; exit 1; }
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: set PYTHON=/path/to/python."; exit 1; }
 
 $(VENV)/bin/pip: | system
 	@echo "Creating the virtual environment in $(VENV)"
