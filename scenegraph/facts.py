@@ -83,7 +83,7 @@ def derived_edge(derived: DerivedEdge, known: Edge | None, evidence: tuple[str, 
         confidence=min(1.0, max(0.0, float(derived.confidence))),
         evidence=evidence if known is None else (*known.evidence, *evidence)[-5:],
         first_seen_ns=stamp_ns if known is None else known.first_seen_ns,
-        last_seen_ns=stamp_ns,
+        last_seen_ns=stamp_ns if known is None else max(stamp_ns, known.last_seen_ns),
     )
 
 

@@ -366,7 +366,7 @@ class Rooms:
                 ),
                 confidence=0.9,
                 first_seen_ns=stamp_ns if known is None else known.first_seen_ns,
-                last_seen_ns=stamp_ns,
+                last_seen_ns=stamp_ns if known is None else max(stamp_ns, known.last_seen_ns),
                 attributes={
                     **kept,
                     "footprint": [[round(x, 3), round(y, 3)] for x, y in footprint.exterior.coords[:-1]],

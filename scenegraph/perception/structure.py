@@ -241,7 +241,7 @@ class Structure:
 
     def _put(self, plane: Plane, seen_now: bool, stamp_ns: int, changes: GraphChanges) -> None:
         old = self._node.get(plane.id)
-        seen = stamp_ns if seen_now or old is None else old.last_seen_ns
+        seen = stamp_ns if old is None else max(stamp_ns, old.last_seen_ns) if seen_now else old.last_seen_ns
         box = plane_box(plane)
         node = Node(
             id=f"plane_{plane.id}",

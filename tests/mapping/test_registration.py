@@ -96,6 +96,15 @@ def test_another_surface_far_outside_the_prior_is_not_believed(corner: TsdfMap) 
     assert error(kept, far)[0] < 0.02
 
 
+def test_what_the_prior_knows_exactly_is_not_moved(corner: TsdfMap) -> None:
+    """A robot on wheels: height, roll and pitch of its camera are known."""
+    off = CORNER @ SE3.exp([0.02, 0.0, 0.015, 0.0, 0.006, 0.0])
+    planar = np.diag([0.05, 0.0, 0.05, 0.0, 0.02, 0.0]) ** 2
+    moved = (off.inverse() @ refine_pose(corner, seen(CORNER), off, planar)).log()
+    assert np.abs(moved[[1, 3, 5]]).max() < 1e-4
+    assert np.abs(moved[[0, 2, 4]]).max() > 0.005
+
+
 def flat(points: np.ndarray) -> np.ndarray:
     """The points that are far from edges and from the ball, where the field is smooth."""
     at = CORNER @ points

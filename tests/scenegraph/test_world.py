@@ -322,3 +322,80 @@ def test_a_robot_may_describe_itself(copy_home: Copy) -> None:
         )
     )
     assert world.robots["rob"].height_m == 0.8
+
+
+# -- odd but valid input -----------------------------------------------------------------------------------------------
+
+
+def test_the_past_can_be_asked(stream: tuple[World, list[Delta]]) -> None:
+    world, _ = stream
+    [then] = [row["X"].id for row in world.ask("in(agent_rob, X), room(X)", at_ns=stamp(50))]
+    [now] = [row["X"].id for row in world.ask("in(agent_rob, X), room(X)")]
+    assert (then, now) == (room_at(world, small_home.KITCHEN), room_at(world, small_home.BEDROOM))
+    assert world.ask("on(vase, table)", at_ns=stamp(0)).truth != "true", "it had not been seen yet"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"depth": np.zeros((150, 200), np.float32)},
+        {"depth": np.full((150, 200), 30.0, np.float32)},
+        {"depth": np.full((150, 200), 0.001, np.float32)},
+        {"depth": np.full((150, 200), 1500, np.uint16)},
+        {"T_map_camera": SE3(np.eye(3), (5000.0, -5000.0, 300.0))},
+        {"instances": None},
+        {"labels": None},
+        {"labels": None, "instances": None},
+        {"label_confidence": np.zeros((150, 200), np.float32)},
+        {"covariance": np.zeros((6, 6))},
+        {"covariance": np.diag([0.01, 0.01, 0.0, 0.0, 0.0, 0.001])},
+        {"covariance": 100.0 * np.eye(6)},
+    ],
+)
+def test_an_odd_image_does_no_harm(mapped: World, changes: dict[str, object]) -> None:
+    image = small_home.images()[5]
+    mapped.integrate(RgbdImage(**{**dict(image), "stamp_ns": stamp(700), **changes}))
+    assert mapped.ask("on(vase, table)").truth == "true"
+    assert len(mapped.graph.nodes("object")) == 6
+
+
+def test_an_image_of_one_pixel_and_an_empty_scan_do_no_harm(mapped: World) -> None:
+    pixel = RgbdImage(
+        stamp_ns=stamp(710), robot="rob", sensor="tiny", depth=np.ones((1, 1), np.float32), T_map_camera=SE3.identity(),
+        intrinsics={"fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0, "width": 1, "height": 1},
+        labels=np.ones((1, 1), np.uint16),
+    )  # fmt: skip
+    mapped.integrate(pixel)
+    nothing = np.empty((0, 3), np.float32)
+    mapped.integrate(
+        Scan(stamp_ns=stamp(711), robot="rob", sensor="lidar", points=nothing, T_map_sensor=SE3.identity())
+    )
+    assert mapped.ask("on(vase, table)").truth == "true"
+
+
+def test_images_that_come_in_any_order_of_time_give_the_same_things(home: World) -> None:
+    images = list(small_home.images())
+    with small_home.new_world() as world:
+        world.integrate(small_home.SCENE.label_space)
+        for image in images[::-1]:
+            delta = world.integrate(image)
+            assert delta.stamp_ns == images[-1].stamp_ns, "the graph's time does not run back"
+        assert names(world, "on") == small_home.ON
+        for node in world.graph.nodes("object"):
+            assert 0 < node.first_seen_ns <= node.last_seen_ns <= images[-1].stamp_ns
+            assert node.position == pytest.approx(home.graph.node(id_of(home, node.label)).position, abs=0.05)
+
+
+@pytest.mark.parametrize("label", ["3D printer!", "été 🙂", "halt", "Near", "[]", "a'b\\\"c", "room", "fact(x)"])
+def test_a_class_may_be_called_anything(label: str) -> None:
+    scene = Scene(
+        (Block("floor", (0.0, 0.0, -0.1), (6.0, 6.0, 0.2)), Block(label, (1.5, 0.0, 0.3), (0.6, 0.6, 0.6), 1))
+    )
+    with World() as world:
+        world.integrate(scene.label_space)
+        for n in range(4):
+            world.integrate(scene.image(looking_at((0.0, 0.2 * n, 1.2), (1.5, 0.0, 0.3)), stamp(n)))
+        [node] = world.graph.nodes("object")
+        assert node.label == label
+        assert [row["X"].id for row in world.ask("on(X, Y), object(X)")] in ([node.id], [])
+        assert world.ask("on(X, Y)").truth == "true"
