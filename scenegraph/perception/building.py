@@ -21,6 +21,8 @@ INSET_M = 0.06
 """Segments between two surfaces begin and end this far from them: a picture's points straddle the wall it hangs on."""
 WALL_STEP_M = 0.025
 """How finely it is told where a wall ends."""
+FLOOR_REACH_M = 1.5
+"""A thing stands on a floor that was seen no farther than this from under it."""
 CORNER_GAP_M = 0.08
 """Where a wall ends, as against where it opens, it goes on this far, to meet the next."""
 CORNER_M = 0.01
@@ -34,7 +36,8 @@ class Building:
         self._planes = planes
         self._occupancy = occupancy
         self._index = GroundIndex()
-        self._floors: dict[str, tuple[Array, Array, float]] = {}
+        self._floors = GroundIndex()
+        self._floor_boxes: dict[str, tuple[Array, Array, float]] = {}
         self._walls = GroundIndex()
         self._lines: dict[str, tuple[Array, float, Array, float, float]] = {}
 
@@ -43,7 +46,7 @@ class Building:
         for plane_id in gone:
             self._index.remove(str(plane_id))
             self._walls.remove(str(plane_id))
-            self._floors.pop(f"plane_{plane_id}", None)
+            self._floors.remove(f"plane_{plane_id}")
         for label, plane in labelled:
             corners = np.concatenate(plane.rings)
             low, high = corners.min(axis=0), corners.max(axis=0)
@@ -64,17 +67,20 @@ class Building:
                     reach.max(),
                 )
                 self._walls.put(str(plane.id), (low, high))
-            self._floors.pop(f"plane_{plane.id}", None)
+            self._floors.remove(f"plane_{plane.id}")
             if label == "floor":
-                self._floors[f"plane_{plane.id}"] = (low, high, float(plane.centroid[2]))
+                self._floors.put(f"plane_{plane.id}", (low, high))
+                self._floor_boxes[f"plane_{plane.id}"] = (low, high, float(plane.centroid[2]))
 
     def floor_below(self, x: float, y: float, z: float) -> tuple[str, float] | None:
         """The floor under a point: its node id and height [m]; the nearest in plan where none lies right below."""
         best: tuple[float, str, float] | None = None
-        for node, (low, high, height) in self._floors.items():
+        at = np.array([x, y, z])
+        for node in self._floors.within((at, at), FLOOR_REACH_M):
+            low, high, height = self._floor_boxes[node]
             if height > z + 0.3:
                 continue
-            outside = np.maximum(np.maximum(low[:2] - (x, y), (x, y) - high[:2]), 0.0)
+            outside = np.maximum(np.maximum(low[:2] - at[:2], at[:2] - high[:2]), 0.0)
             badness = 10.0 * float(np.hypot(*outside)) + (z - height)
             if best is None or (badness, node) < best[:2]:
                 best = (badness, node, height)
