@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["IMAGES_PER_ROOM", "QUESTIONS", "Question", "run"]
 
-IMAGES_PER_ROOM = 12
+IMAGES_PER_ROOM = 14
 WORLD = "home"
 ROBOT = "robot"
 PHRASE = "near the oven"
