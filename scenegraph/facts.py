@@ -7,11 +7,20 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from reasoning.knowledge import DerivedEdge
-from reasoning.terms import Atom, Compound, Term
-from scenegraph.graph import Edge, Node
+from reasoning.terms import Atom, Compound, Term, Var
+from scenegraph.graph import Edge, EdgeKey, Node
 from scenegraph.perception.relations import MeasurementChange
 
-__all__ = ["class_atom", "class_facts", "derived_edge", "edge_fact", "measurement_facts", "node_facts", "value_of"]
+__all__ = [
+    "class_atom",
+    "class_facts",
+    "derived_edge",
+    "edge_fact",
+    "edge_key_fact",
+    "measurement_facts",
+    "node_facts",
+    "value_of",
+]
 
 _NOT_NAME = re.compile(r"[^a-z0-9]+")
 
@@ -52,6 +61,13 @@ def edge_fact(edge: Edge) -> Compound:
     ends = (Atom(edge.relation), Atom(edge.source), Atom(edge.target))
     numbers = (Atom("none") if n is None else float(n) for n in (edge.value, edge.threshold))
     return Compound("edge", (*ends, *numbers, float(edge.confidence)))
+
+
+def edge_key_fact(key: EdgeKey) -> Compound:
+    """A stored edge by what names it, for its deletion."""
+    return Compound(
+        "edge", (Atom(key.relation), Atom(key.source), Atom(key.target), *(Var(n) for n in ("V", "T", "C")))
+    )
 
 
 def measurement_facts(change: MeasurementChange) -> tuple[list[Compound], list[Compound]]:

@@ -81,6 +81,7 @@ class Meaning:
             put += fresh - self._facts_of.get(node.id, frozenset())
             self._facts_of[node.id] = fresh
         put += [facts.edge_fact(step) for step in changes.steps if isinstance(step, Edge) and not follows_rules(step)]
+        deleted += [facts.edge_key_fact(step) for step in changes.steps if isinstance(step, EdgeKey)]
         for node_id in gone:
             self._facts_of.pop(node_id, None)
         self.knowledge.update(put=put, deleted=deleted, forget=sorted(gone))

@@ -17,6 +17,7 @@ from scenegraph.graph.delta import NodeDeletion
 from scenegraph.labels import Labels
 from scenegraph.perception.building import Building
 from scenegraph.perception.objects import Objects
+from scenegraph.perception.passages import Passages
 from scenegraph.perception.relations import MeasurementChange, Relations
 from scenegraph.perception.rooms import Rooms
 from scenegraph.perception.structure import Structure
@@ -40,6 +41,7 @@ class Perception:
         self.structure = Structure()
         self.objects = Objects(labels.name, meaning.is_structural)
         self.rooms = Rooms()
+        self.passages = Passages()
         self.building = Building(map_.planes, map_.occupancy)
         self.relations = Relations(meaning.is_container)
 
@@ -60,6 +62,12 @@ class Perception:
         changes.extend(_still_possible(room_changes, graph))
 
         _house_rooms(changes, graph)
+        doors = (
+            {i: s for i, s in self.objects.shapes.items() if self.objects.labels[i] == "door"} if moved_rooms else {}
+        )
+        changes.extend(
+            self.passages.update(self.rooms.storeys, moved_rooms, doors, self._map.occupancy, graph, stamp_ns)
+        )
         _keep_told(changes, graph)
         measured = self.relations.update(self.objects.shapes, self.objects.labels, reshaped, self.building)
         measured.merge(self._room_shares(reshaped, moved_rooms))
@@ -138,6 +146,7 @@ class Perception:
         """Take over what `document` and `Rooms.state` gave; the map and the graph have been restored before."""
         self.objects.restore(document["objects"], self._map.instances, graph)
         self.rooms.restore(rooms, graph)
+        self.passages.restore(graph)
         self.relations.restore(document["relations"], self.objects.shapes)
         self.structure.restore(document["structure"], self._map.planes, graph)
         labelled = [(label, self._map.planes.plane(i)) for i, label in self.structure.labels.items()]

@@ -118,6 +118,7 @@ class Structure:
         for plane_id in noticed:
             self._relate(plane_id, planes)
         active |= set(noticed)
+        self._unsettled = active  # stays so, if labelling fails
         flipped = self._relabel(active, label) if active else set()
         self._unsettled = flipped - set(noticed)
         for plane_id in sorted({*noticed, *flipped}):
@@ -136,7 +137,11 @@ class Structure:
 
     def restore(self, document: Iterable[Sequence[Any]], planes: PlaneMap, graph: SceneGraph) -> None:
         """Take over what `document` gave; `planes` and `graph` have been restored before, shapes are measured anew."""
-        known = {int(i): (str(label), evidence) for i, label, evidence in document}
+        known = {
+            int(i): (str(label), evidence)
+            for i, label, evidence in document
+            if int(i) in planes and f"plane_{i}" in graph
+        }
         summary = planes.summary(known)
         for k, (plane_id, (label, evidence)) in enumerate(known.items()):
             self._keep(replace(measured(summary, k), evidence=dict(evidence)), summary, k, planes)
