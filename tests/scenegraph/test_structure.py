@@ -235,6 +235,22 @@ def test_a_restored_structure_goes_on_where_it_was(label: Labeller) -> None:
     assert {name: other.label_at(face) for name, face in room().items()} == LABELS
 
 
+def test_planes_that_could_not_be_labelled_are_labelled_next_time(label: Labeller) -> None:
+    home = Home(label)
+    home.add(*room().values())
+    answer, home._label = home._label, _out_of_time
+    table = Rectangle(np.array([1.5, 1.0, 0.74]), 1.4 * X, 0.8 * Y)
+    with pytest.raises(TimeoutError):
+        home.add(table)
+    home._label = answer
+    home.add(*block((3.0, 2.0, 0.0), (0.9, 0.9, 0.9)))
+    assert home.label_at(table) == "no_feature"
+
+
+def _out_of_time(_: Sequence[PlaneFacts], __: Sequence[Relation]) -> Mapping[int, str]:
+    raise TimeoutError
+
+
 # -- nodes -------------------------------------------------------------------------------------------------------
 
 
