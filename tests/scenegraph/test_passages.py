@@ -1,0 +1,144 @@
+"""Doors and openings between rooms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from mapping.occupancy import OccupancyMap
+from scenegraph.graph import GraphChanges, Node, SceneGraph
+from scenegraph.perception.ground import GroundGrid
+from scenegraph.perception.passages import Passages
+from scenegraph.perception.rooms import CELL_M, Storey
+from scenegraph.perception.shapes import Shape
+
+if TYPE_CHECKING:
+    from scenegraph.world import World
+
+WALL_X = 3.0
+
+
+def two_rooms(gap: tuple[float, float] | None) -> tuple[Storey, OccupancyMap, SceneGraph]:
+    """Rooms 1 and 2, 3 m × 3 m, on either side of a wall at x = 3 that is open between two y."""
+    ground = GroundGrid(CELL_M)
+    ground.cover(np.array([0, 0]), np.array([59, 29]))
+    i, j = np.indices(ground.room.shape) + ground.low[:, None, None]
+    inside = (i >= 0) & (i < 60) & (j >= 0) & (j < 30)
+    ground.room[:] = np.where(inside, np.where(i < 30, 1, 2), 0)
+    occupancy = OccupancyMap(voxel_size_m=0.05)
+    x, y, z = np.meshgrid(*(np.arange(0.025, end, 0.05) for end in (6.0, 3.0, 2.0)), indexing="ij")
+    wall = np.abs(x - WALL_X) < 0.06
+    if gap is not None:
+        wall &= (y < gap[0]) | (y > gap[1])
+    ijk = np.floor(np.stack([x, y, z], axis=-1) / 0.05).astype(np.int64)
+    slots = occupancy.store.allocate(np.unique(ijk.reshape(-1, 3) >> 3, axis=0))
+    assert len(slots)
+    where = occupancy.store.find((ijk >> 3).reshape(-1, 3))
+    local = (ijk & 7).reshape(-1, 3) @ (64, 8, 1)
+    occupancy.store.fields["evidence"][where, local] = np.where(wall, 20, -20).ravel()
+    graph = SceneGraph()
+    changes = GraphChanges()
+    for n in (1, 2):
+        changes.put(
+            Node(id=f"room_{n}", layer="room", label="room", position=(n, 1, 0), first_seen_ns=0, last_seen_ns=0)
+        )
+    graph.commit(changes, 0)
+    return Storey(1, 0.0, ground), occupancy, graph
+
+
+def passages_of(
+    gap: tuple[float, float] | None, doors: dict[str, Shape] | None = None
+) -> tuple[SceneGraph, Callable[[tuple[float, float] | None], None]]:
+    """The graph with the passages, and a function that builds the wall anew and looks again."""
+    passages = Passages()
+    storey, occupancy, graph = two_rooms(gap)
+    add = GraphChanges()
+    for door in doors or {}:
+        add.put(Node(id=door, layer="structure", label="door", position=(3, 1, 1), first_seen_ns=0, last_seen_ns=0))
+    graph.commit(add, 0)
+
+    def look(storey: Storey, occupancy: OccupancyMap, stamp_ns: int) -> None:
+        graph.commit(passages.update([storey], {"room_1"}, doors or {}, occupancy, graph, stamp_ns), stamp_ns)
+
+    look(storey, occupancy, 1)
+
+    def again(other: tuple[float, float] | None) -> None:
+        changed, space, _ = two_rooms(other)
+        look(changed, space, 2)
+
+    return graph, again
+
+
+def door_at(y: float) -> Shape:
+    """A shut leaf of 0.9 m × 2 m in the wall."""
+    y_, z_ = np.meshgrid(np.arange(y - 0.45, y + 0.451, 0.025), np.arange(0.0, 2.0, 0.025))
+    return Shape(np.column_stack([np.full(y_.size, WALL_X), y_.ravel(), z_.ravel()]).astype(np.float32), 0.025)
+
+
+def joined(graph: SceneGraph) -> dict[str, set[str]]:
+    return {e.source: {o.target for o in graph.edges("connects", source=e.source)} for e in graph.edges("connects")}
+
+
+def test_a_gap_in_the_wall_is_a_doorway_that_connects_both_rooms() -> None:
+    graph, _ = passages_of((1.0, 1.9))
+    assert joined(graph) == {"passage_1": {"room_1", "room_2"}}
+    node = graph.node("passage_1")
+    assert node.label == "doorway"
+    assert node.attributes["width_m"] == pytest.approx(0.9, abs=0.11)
+    assert np.allclose(node.position[:2], (3.0, 1.45), atol=0.11)
+
+
+@pytest.mark.parametrize(("a", "b"), [("room_1", "room_2"), ("room_2", "room_1")])
+def test_adjacency_goes_both_ways_and_names_the_passage(a: str, b: str) -> None:
+    graph, _ = passages_of((1.0, 1.9))
+    edge = graph.edge("adjacent", a, b)
+    assert edge is not None
+    assert edge.attributes["through"] == "passage_1"
+
+
+def test_a_wide_gap_is_an_opening() -> None:
+    graph, _ = passages_of((0.4, 2.6))
+    assert graph.node("passage_1").label == "opening"
+
+
+@pytest.mark.parametrize("gap", [None, (1.0, 1.3)])
+def test_a_whole_wall_or_a_narrow_slit_connects_nothing(gap: tuple[float, float] | None) -> None:
+    graph, _ = passages_of(gap)
+    assert not joined(graph)
+
+
+def test_a_gap_with_a_leaf_beside_it_goes_by_the_door() -> None:
+    graph, _ = passages_of((1.0, 1.9), {"opening_7": door_at(1.4)})
+    assert joined(graph) == {"opening_7": {"room_1", "room_2"}}
+    assert all(e.attributes["open"] for e in graph.edges("connects"))
+
+
+def test_a_shut_door_connects_its_rooms_and_says_so() -> None:
+    graph, _ = passages_of(None, {"opening_7": door_at(1.4)})
+    assert joined(graph) == {"opening_7": {"room_1", "room_2"}}
+    assert not any(e.attributes["open"] for e in graph.edges("connects"))
+
+
+def test_a_passage_keeps_its_id_and_goes_when_it_is_walled_up() -> None:
+    graph, again = passages_of((1.0, 1.9))
+    again((1.1, 2.0))
+    assert joined(graph) == {"passage_1": {"room_1", "room_2"}}
+    again(None)
+    assert not joined(graph)
+    assert not graph.edges("adjacent")
+    assert graph.tombstone("passage_1") is not None
+
+
+def test_the_small_home_has_a_way_from_one_room_to_the_other(home: World) -> None:
+    one, two = (room.id for room in home.graph.nodes("room"))
+    assert home.graph.edge("adjacent", one, two) is not None
+    assert home.ask(f"leads_to({one}, {two})").truth == "true"
+
+
+def test_passages_are_known_again_after_a_restart(copy_home: Callable[[], World]) -> None:
+    world = copy_home()
+    known = world.perception.passages._known
+    assert set(known) == {e.source for e in world.graph.edges("connects")}
