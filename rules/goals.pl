@@ -45,10 +45,28 @@ read_goal(Text, Goal, Bindings, All) :-
     tidy(Text, Tidy),
     term_string(Term, Tidy, [ module(question), variable_names(All), syntax_errors(error),
                               double_quotes(string), cycles(false) ]),
+    one_goal(Tidy),
     maplist(not_a_class, All),
     check(Term, Goal),
     free_variables(Goal, Free, []),
     include(free_and_named(Free), All, Bindings).
+
+%   one_goal(+Text): nothing follows the full stop of the goal, which reading would pass over in silence.
+one_goal(Text) :-
+    (   string_concat(Bare, ".", Text)
+    ->  true
+    ;   Bare = Text
+    ),
+    string_concat(Bare, "\n.", Whole),
+    setup_call_cleanup(
+        open_string(Whole, Stream),
+        ( read_term(Stream, _, [module(question), double_quotes(string)]),
+          catch(read_term(Stream, Rest, [module(question)]), _, Rest = more) ),
+        close(Stream)),
+    (   Rest == end_of_file
+    ->  true
+    ;   throw(problem(syntax_error, "the text goes on after the full stop of the goal", "ask one goal at a time"))
+    ).
 
 tidy(Text, Tidy) :-
     split_string(Text, "", " \t\r\n", [Trimmed]),
