@@ -211,10 +211,12 @@ def _read(pipe: int, size: int, deadline: float | None = None) -> bytes:
 def serve(request_pipe: int, reply_pipe: int, stack_limit_bytes: int, memory_limit_bytes: int) -> None:
     """Be the worker: answer commands until the pipe closes. Runs in a process of its own."""
     import resource
+    import signal
 
     resource.setrlimit(resource.RLIMIT_AS, (memory_limit_bytes, memory_limit_bytes))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     prolog = _Prolog(stack_limit_bytes)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole terminal, but is for our owner to act on
     while True:
         try:
             head, body = _HEADER.unpack(_read(request_pipe, _HEADER.size))
