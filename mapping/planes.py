@@ -179,19 +179,15 @@ class PlaneMap:
         a = np.atleast_2d(np.asarray(p0, dtype=np.float64))
         b = np.atleast_2d(np.asarray(p1, dtype=np.float64))
         blocked = np.zeros(len(a), dtype=np.bool_)
-        for plane_id in ids:
-            slot = self._slot_of.get(int(plane_id))
-            if slot is None:
-                continue
-            normal, offset = self._pieces.normal[slot], self._pieces.offset[slot]
-            da, db = a @ normal - offset, b @ normal - offset
-            crossing = np.flatnonzero(~blocked & (da * db < 0.0))
-            if not len(crossing):
-                continue
-            share = da[crossing] / (da[crossing] - db[crossing])
-            at = a[crossing] + share[:, None] * (b[crossing] - a[crossing])
-            coverage = self._pieces.coverage(slot)
-            blocked[crossing] = coverage.near(coverage.frame.project(at), self.voxel_size_m)
+        slots = [slot for plane_id in ids if (slot := self._slot_of.get(int(plane_id))) is not None]
+        normals, offsets = self._pieces.normal[slots].T, self._pieces.offset[slots]
+        da, db = a @ normals - offsets, b @ normals - offsets
+        for k in np.flatnonzero((da * db < 0.0).any(axis=0)).tolist():
+            rows = np.flatnonzero(~blocked & (da[:, k] * db[:, k] < 0.0))
+            share = da[rows, k] / (da[rows, k] - db[rows, k])
+            at = a[rows] + share[:, None] * (b[rows] - a[rows])
+            coverage = self._pieces.coverage(slots[k])
+            blocked[rows] = coverage.near(coverage.frame.project(at), self.voxel_size_m)
         return blocked
 
     # -- change -------------------------------------------------------------------------------------------
