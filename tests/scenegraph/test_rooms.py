@@ -50,7 +50,8 @@ def plane(
     axes: np.ndarray,
 ) -> Plane:
     return Plane(
-        id=number, normal=normal, offset=float(normal @ middle), centroid=middle, rings=(ring,), area_m2=size[0] * size[1],
+        id=number, normal=normal, offset=float(normal @ middle), centroid=middle, rings=(ring,),
+        area_m2=size[0] * size[1],
         z_min=float(ring[:, 2].min()), z_max=float(ring[:, 2].max()), width_m=width, box_center=middle, box_axes=axes,
         box_size=np.array(size), n_points=1000, rms_m=0.003,
     )  # fmt: skip
@@ -163,7 +164,8 @@ def test_a_corridor_with_three_doors_stays_one() -> None:
     behind = [(0.1, 1.6, 2.9, 4.4), (3.1, 1.6, 5.9, 4.4), (6.1, 1.6, 8.9, 4.4)]
     doors = [(x, 1.3, x + 0.9, 1.7) for x in (1.0, 4.0, 7.0)]
     walls = [
-        floor(1, 0, 0, 9, 4.5), wall(2, 0, 0, 9, 0), wall(3, 0, 1.5, 9, 1.5), wall(4, 0, 4.5, 9, 4.5), wall(5, 0, 0, 0, 4.5),
+        floor(1, 0, 0, 9, 4.5), wall(2, 0, 0, 9, 0), wall(3, 0, 1.5, 9, 1.5), wall(4, 0, 4.5, 9, 4.5),
+        wall(5, 0, 0, 0, 4.5),
         wall(6, 3, 1.5, 3, 4.5), wall(7, 6, 1.5, 6, 4.5), wall(8, 9, 0, 9, 4.5),
     ]  # fmt: skip
     home = Home()

@@ -55,10 +55,9 @@ def poses() -> list[SE3]:
             for tilt in (-0.75, 0.0):
                 eye = (x - 0.25 * np.cos(yaw), y - 0.25 * np.sin(yaw), 1.3)
                 found.append(looking_at(eye, (x + np.cos(yaw), y + np.sin(yaw), 1.3 + tilt)))
-    for eye in ((2.1, 2.6, 1.3), (1.0, 1.2, 1.25), (0.3, 1.4, 1.4), (1.9, 1.7, 1.2)):
-        found.append(looking_at(eye, (1.0, 2.3, 0.8)))
-    for eye in ((2.5, 2.5, 0.5), (1.0, 0.8, 0.5), (2.1, 1.2, 0.5)):
-        found.append(looking_at(eye, (1.0, 2.3, 0.4)))
+    over_the_table = ((2.1, 2.6, 1.3), (1.0, 1.2, 1.25), (0.3, 1.4, 1.4), (1.9, 1.7, 1.2))
+    found += [looking_at(eye, (1.0, 2.3, 0.8)) for eye in over_the_table]
+    found += [looking_at(eye, (1.0, 2.3, 0.4)) for eye in ((2.5, 2.5, 0.5), (1.0, 0.8, 0.5), (2.1, 1.2, 0.5))]
     for eye, target in (
         ((2.2, 2.6, 1.3), (3.4, 2.6, 0.6)),
         ((4.0, 2.6, 1.3), (2.6, 2.6, 0.6)),

@@ -376,7 +376,7 @@ def test_pcd_files_that_are_damaged_are_named(tmp_path, change, expected):
 def test_lzf_references_may_reach_into_what_they_write():
     assert lzf_decompress(b"\x00a" + bytes([(5 << 5) | 0, 0]), 8) == b"aaaaaaaa"
     for damaged in (b"\x05ab", b"\xe0", bytes([(1 << 5), 7])):
-        with pytest.raises(ValueError, match="expected|early|before"):
+        with pytest.raises(ValueError, match=r"expected|early|before"):
             lzf_decompress(damaged, 8)
 
 
