@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -158,9 +158,9 @@ class Coverage:
         u, v = np.nonzero(self._counts[::stride, ::stride])
         return (np.stack([u, v], axis=1) * stride + self._low + 0.5) * self.cell_size_m
 
-    def shape(self, least_hole_m2: float, tolerance_m: float) -> Any:
+    def shape(self, least_m2: float, tolerance_m: float) -> Any:
         """What is covered as a shapely (multi)polygon in u, v [m]: gaps of one cell closed, borders simplified to
-        `tolerance_m`, holes below `least_hole_m2` filled."""
+        `tolerance_m`, holes below `least_m2` filled, and parts below it left out, but for the largest part."""
         (u0, u1), (v0, v1) = (_ends(line > 0) for line in (self._rows, self._columns))
         mask = np.pad(self._counts[u0:u1, v0:v1] > 0, 3)
         mask = ndimage.binary_closing(mask, structure=np.ones((3, 3)))
@@ -168,19 +168,18 @@ class Coverage:
         corners = np.empty((edges, 2), np.int32)
         ends = np.empty(edges, np.int64)
         n = kernels.trace(mask, corners, ends)
-        origin = self._low + np.array([u0 - 3, v0 - 3])
         area = np.empty(n)
         kernels.ring_areas(area, corners, ends)
+        large = np.abs(area) * self.cell_size_m**2 >= least_m2
+        large[area.argmax()] = True
+        origin = self._low + np.array([u0 - 3, v0 - 3])
         rings = [(ring + origin) * self.cell_size_m for ring in np.split(corners, ends[:n])[:n]]
-        outer = [_valid(rings[k]) for k in np.flatnonzero(area > 0.0)]
-        holes = [_valid(rings[k]) for k in np.flatnonzero(-area * self.cell_size_m**2 >= least_hole_m2)]
-        whole = (
-            shapely.MultiPolygon(outer)
-            if all(part.geom_type == "Polygon" for part in outer)
-            else shapely.union_all(outer)
-        )
-        if holes:
-            whole = whole.difference(shapely.union_all(holes))
+        outer = [rings[k] for k in np.flatnonzero(large & (area > 0.0))]
+        holes = [rings[k] for k in np.flatnonzero(large & (area < 0.0))]
+        whole = shapely.Polygon(outer[0], holes) if len(outer) == 1 else None
+        if whole is None or not whole.is_valid:
+            # parts may lie in holes of others: what is inside an odd number of rings is covered
+            whole = reduce(shapely.symmetric_difference, map(_valid, (*outer, *holes)))
         return whole.simplify(tolerance_m)
 
 
@@ -193,4 +192,4 @@ def _ends(covered: Array) -> tuple[int, int]:
 def _valid(ring: Array) -> Any:
     """A ring as a polygon; where it touches itself, as several."""
     polygon = shapely.Polygon(ring)
-    return polygon if polygon.is_valid else shapely.make_valid(polygon)
+    return polygon if polygon.is_valid else shapely.make_valid(polygon, method="structure", keep_collapsed=False)

@@ -25,7 +25,8 @@ Array: TypeAlias = NDArray[Any]
 _HYPOTHESES = 12
 _REACH_M = 0.25
 """Coarse cell for telling pieces apart: gaps above twice this always part a plane."""
-_LEAST_HOLE_M2 = 0.1
+_LEAST_BORDER_M2 = 0.1
+"""Smaller holes and parts do not show in a plane's borders."""
 
 
 class Surface(Protocol):
@@ -108,7 +109,7 @@ class PlaneMap:
         coverage, moments = self._pieces.coverage(slot), self._pieces.moments[slot]
         frame, normal, offset = coverage.frame, self._pieces.normal[slot].copy(), float(self._pieces.offset[slot])
         rings: list[Array] = []
-        shape = coverage.shape(_LEAST_HOLE_M2, 1.5 * self.voxel_size_m)
+        shape = coverage.shape(_LEAST_BORDER_M2, 1.5 * self.voxel_size_m)
         for part in sorted(shapely.get_parts(shape), key=lambda p: -p.area):
             turned = shapely.orient_polygons(part)
             borders = (turned.exterior, *turned.interiors)

@@ -9,6 +9,7 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 
 from mapping.coverage import Coverage, PlaneFrame
 from mapping.errors import InvalidParameter, MappingError
@@ -167,6 +168,34 @@ def test_traced_borders_enclose_just_the_covered_cells(bits: list[bool]) -> None
         whole = whole.symmetric_difference(polygon)
     assert area == mask.sum()
     assert whole.symmetric_difference(naive.outline(mask)).area == pytest.approx(0.0)
+
+
+@given(st.lists(st.booleans(), min_size=64, max_size=64))
+@settings(max_examples=80, deadline=None)
+def test_a_shape_holds_the_covered_cells_whatever_they_look_like(bits: list[bool]) -> None:
+    mask = np.array(bits).reshape(8, 8)
+    mask[0, 0] = True
+    coverage = Coverage(PlaneFrame.about(np.zeros(3), Z), 1.0)
+    coverage.add(np.column_stack([np.argwhere(mask) + 0.5, np.zeros(mask.sum())]))
+    shape = coverage.shape(1.0, 0.0)
+    assert shape.is_valid
+    assert {part.geom_type for part in shapely.get_parts(shape)} == {"Polygon"}
+    assert shape.contains(naive.outline(mask).buffer(-0.01))
+    closed = ndimage.binary_closing(np.pad(mask, 3), np.ones((3, 3)))[3:-3, 3:-3]
+    assert shape.symmetric_difference(naive.outline(closed)).area == pytest.approx(0.0, abs=1e-6)
+
+
+def test_an_island_in_a_hole_is_covered_and_scraps_are_not() -> None:
+    mask = np.ones((40, 40), dtype=bool)
+    mask[5:35, 5:35] = False
+    mask[15:25, 15:25] = True
+    mask[8, 8] = True
+    coverage = Coverage(PlaneFrame.about(np.zeros(3), Z), 0.05)
+    coverage.add(np.column_stack([0.05 * (np.argwhere(mask) + 0.5), np.zeros(mask.sum())]))
+    shape = coverage.shape(0.1, 0.0)
+    assert shape.area == pytest.approx(0.0025 * (1600 - 900 + 100))
+    assert shape.contains(shapely.Point(1.0, 1.0))
+    assert not shape.intersects(shapely.Point(0.425, 0.425))
 
 
 # -- planes of a surface -----------------------------------------------------------------------------------------
