@@ -209,8 +209,8 @@ def _write(
                 label="doorway" if passage.width_m <= DOORWAY_M else "opening",
                 position=(*passage.at, floor + 1.0),
                 confidence=0.9,
-                first_seen_ns=stamp_ns if known is None else known.first_seen_ns,
-                last_seen_ns=stamp_ns,
+                first_seen_ns=stamp_ns if known is None else min(known.first_seen_ns, stamp_ns),
+                last_seen_ns=stamp_ns if known is None else max(known.last_seen_ns, stamp_ns),
                 attributes={"width_m": passage.width_m},
             )
         )
