@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -171,7 +172,8 @@ class Shown:
         self._line("Look at:")
         for name, path in files.items():
             self._line(f"  {name:<18} {path}")
-        self._line(f"Ask it yourself:  scenegraph ask 'near(X, sofa)' --explain --map {files['world']}")
+        program = sys.argv[0] if sys.argv[0].endswith("scenegraph") else "scenegraph"  # as it was called
+        self._line(f"Ask it yourself:  {program} ask 'near(X, sofa)' --explain --map {files['world']}")
 
     def _line(self, text: str, style: str = "") -> None:
         if not self._printer.json:
