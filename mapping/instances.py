@@ -29,6 +29,9 @@ SAME_SHARE = 0.2
 """A mask is a known instance of its class when this share of its pixels lies on that instance's voxels …"""
 OTHER_CLASS_SHARE = 0.5
 """… and of another class when this much does: a mislabelled view, but not a cup in front of a bottle."""
+YOUNG_VIEWS = 2
+YOUNG_SHARE = 0.35
+"""An instance seen this few times may have got its class from mislabelled views: then this share is enough."""
 FOUNDING_PIXELS = 100
 """A mask that is no known instance founds one when it has this many pixels."""
 COVERED_SHARE = 0.6
@@ -162,7 +165,8 @@ class InstanceMap(MapLayer):
         same = np.array(
             [self.instances[k].label == seen.label[p] for p, k in zip(piece, known, strict=True)], dtype=bool
         )
-        fits = share >= np.where(same, SAME_SHARE, OTHER_CLASS_SHARE)
+        young = np.array([self.instances[k].views <= YOUNG_VIEWS for k in known], dtype=bool)
+        fits = share >= np.where(same, SAME_SHARE, np.where(young, YOUNG_SHARE, OTHER_CLASS_SHARE))
 
         ids = np.zeros(len(seen), np.int64)
         candidates, column = np.unique(known, return_inverse=True)

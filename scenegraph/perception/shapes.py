@@ -20,10 +20,15 @@ CLUSTER_CELL_M = 0.06
 it."""
 EXTREME_SHARE = 0.01
 """Share of the votes that may stick out of a box at the bottom; half of it at the top: outliers of depth and pose."""
-SIDE_SHARE = 0.007
+SIDE_SHARE = 0.01
 SIDE_DIRECTIONS = 8
 """Share of the votes that may stick out at either end of as many horizontal axes: masks bleed and poses err sideways.
 Chosen so that boxes of simulated things are neither too long nor too short in the median."""
+MOST_VOTES = 0.5
+"""A voxel counts no more than this there, or the face that was seen best would outweigh the others."""
+MOST_TO_FIT = 800
+SIDE_NEAR_M = 0.02
+"""Points that look for the direction of a box, and how close to its side is close enough: the noise of its surface."""
 FOOTING_HEIGHT_M = 0.03
 """Columns whose lowest material lies within this of the lowest point carry the thing (`contact_gap` in the rules)."""
 HEADROOM_M = 0.10
@@ -46,7 +51,9 @@ class Shape:
         points, weights = points[together], weights[together]
         if len(points) < 4:
             return None
-        kept = columns.inner_part(points, weights, SIDE_SHARE, SIDE_DIRECTIONS, 0.005)
+        kept = columns.inner_part(
+            points, np.minimum(weights, np.float32(MOST_VOTES)), SIDE_SHARE, SIDE_DIRECTIONS, 0.005
+        )
         order = np.argsort(points[:, 2])
         mass = np.cumsum(weights[order])
         kept[order[(mass < EXTREME_SHARE * mass[-1]) | (mass > (1.0 - EXTREME_SHARE / 2) * mass[-1])]] = False
@@ -82,8 +89,9 @@ class Shape:
 
     @cached_property
     def rectangle(self) -> tuple[float, float, float, float, float]:
-        """Centre x, y, length, width, yaw of the smallest rectangle around the hull."""
-        x, y, length, width, yaw = shapes.smallest_rectangle(self.hull)
+        """Centre x, y, length, width, yaw of the upright rectangle about the points, along whose sides they lie."""
+        ground = self.points[:, :2].astype(np.float64)
+        x, y, length, width, yaw = shapes.fit_rectangle(ground, MOST_TO_FIT, SIDE_NEAR_M)
         return x, y, length, width, yaw
 
     @cached_property
