@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.kernels import regions as kernels
-from mapping.occupancy import FREE, OCCUPIED, OccupancyMap
+from mapping.occupancy import FREE, OccupancyMap
 from mapping.planes import Plane, PlaneMap
 from scenegraph.perception.neighbours import GroundIndex
 from scenegraph.perception.relations import Passage
@@ -180,10 +180,6 @@ class Building:
     def seen_free(self, points: Array) -> Array:
         """(N,) bool: which points (N, 3) lie in space that was observed to be free."""
         return np.asarray(self._occupancy.classify(points) == FREE)
-
-    def occupied(self, points: Array) -> Array:
-        """(N,) bool: which points (N, 3) lie in space that was observed to be filled."""
-        return np.asarray(self._occupancy.classify(points) == OCCUPIED)
 
     def _near(self, low: Array, high: Array) -> list[int]:
         return [int(name) for name in self._index.within((low, high), 0.1)]

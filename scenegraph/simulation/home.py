@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from mapping.errors import InvalidParameter
 from mapping.geometry import SE3
 from mapping.observations import ClassInfo, LabelSpace, Observation, Scan
 from scenegraph.simulation.arrangement import Placed
@@ -209,6 +210,8 @@ class Home:
 
 def simulate_home(seed: int, yaw: float | None = None) -> Home:
     """The home of that seed, always the same, turned in the map by `yaw` [rad], or by an angle of its own."""
+    if seed < 0:
+        raise InvalidParameter(f"seed: expected a whole number ≥ 0, got {seed!r}")
     rng = np.random.default_rng([seed, 20])
     plan = draw_floorplan(rng)
     placed: list[Placed] = []
