@@ -20,7 +20,7 @@ from scenegraph import console
 from scenegraph.demo_report import Shown
 from scenegraph.errors import ExportError
 from scenegraph.graph import Box, SceneGraph
-from scenegraph.server_process import server_process
+from scenegraph.server_process import heed, server_process
 
 if TYPE_CHECKING:
     from scenegraph.console import Printer
@@ -159,6 +159,7 @@ def _drive(client: Client, home: Home, tour: Tour, recorder: TruthRecorder, show
             with show.leg(kinds[room].replace("_", " "), count) as advance:
                 images = 0
                 while images < count:
+                    heed()
                     observation = next(stream)
                     if on_its_way is not None:
                         on_its_way.result()

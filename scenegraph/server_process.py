@@ -16,10 +16,12 @@ from typing import IO
 
 from scenegraph.service.errors import ServerUnreachable
 
-__all__ = ["free_endpoint", "server_process"]
+__all__ = ["free_endpoint", "heed", "server_process"]
 
 _START_S = 120.0
 _SAVE_S = 60.0
+
+_told_to_end = threading.Event()
 
 
 def free_endpoint() -> str:
@@ -83,13 +85,27 @@ def _last_words(log: Path) -> str:
     return f"{last[:200]}; see {log}"
 
 
+def _end_program(*_: object) -> None:
+    _told_to_end.set()
+    signal.raise_signal(signal.SIGINT)
+
+
+def heed() -> None:
+    """Raise `KeyboardInterrupt` when this program was told to end but the interrupt was lost, as it is when it falls
+    into a
+    callback of compiled code. For long loops in a `server_process` block."""
+    if _told_to_end.is_set():
+        raise KeyboardInterrupt
+
+
 @contextmanager
 def _ended_by_sigterm() -> Iterator[None]:
     """Let SIGTERM end this program as Ctrl-C does, so that no server is left behind."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
+    _told_to_end.clear()
+    before = signal.signal(signal.SIGTERM, _end_program)
     try:
         yield
     finally:
