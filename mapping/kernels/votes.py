@@ -81,6 +81,16 @@ def _vote(
             first_weight[s, l], second_weight[s, l] = second_weight[s, l], first_weight[s, l]
 
 
+@njit(cache=True, inline="always")
+def _remember(first_weight: Array, second_weight: Array, total: Array, s: int, l: int, w: float, limit: float) -> None:
+    """Add a vote to the sum of voxel (s, l); beyond the limit all of its votes count half from now on."""
+    total[s, l] += w
+    if total[s, l] > limit:
+        total[s, l] *= 0.5
+        first_weight[s, l] *= 0.5
+        second_weight[s, l] *= 0.5
+
+
 @njit(cache=True)
 def vote_points(
     table: Array,
@@ -107,11 +117,7 @@ def vote_points(
             continue
         l = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
         _vote(first, first_weight, second, second_weight, s, l, choices[n], weights[n])
-        total[s, l] += weights[n]
-        if total[s, l] > limit:
-            total[s, l] *= 0.5
-            first_weight[s, l] *= 0.5
-            second_weight[s, l] *= 0.5
+        _remember(first_weight, second_weight, total, s, l, weights[n], limit)
 
 
 @njit(cache=True)
@@ -179,11 +185,7 @@ def vote_image(
                 mean[s, l, 1] += gain * (py - j - 0.5 - mean[s, l, 1])
                 mean[s, l, 2] += gain * (pz - k - 0.5 - mean[s, l, 2])
             _vote(first, first_weight, second, second_weight, s, l, choice, w)
-            total[s, l] += w
-            if total[s, l] > limit:
-                total[s, l] *= 0.5
-                first_weight[s, l] *= 0.5
-                second_weight[s, l] *= 0.5
+            _remember(first_weight, second_weight, total, s, l, w, limit)
 
 
 @njit(cache=True)
