@@ -104,8 +104,7 @@ class EsdfMap(MapLayer):
 
     def _from_occupancy(self, first: Array, shape: tuple[int, ...]) -> NDArray[np.float32]:
         assert isinstance(self.source, OccupancyMap)
-        evidence = np.full(shape, occupancy.UNKNOWN, np.int8)
-        boxes.copy_box(evidence, self.source.store.table, self.source.store.fields["evidence"], first)
+        evidence = self.source.evidence_in(first, (shape[0], shape[1], shape[2]))
         known = evidence != occupancy.UNKNOWN
         occupied = evidence >= 0
         outside, _ = self._transform(occupied)

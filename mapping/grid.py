@@ -91,11 +91,13 @@ def new_table(block_ijk: NDArray[np.int32], n_blocks: int, capacity: int) -> NDA
 
 
 class BlockStore:
-    """Blocks of 8³ voxels, found by a hash of their index, each field an array of its own; grows by doubling.
+    """Blocks of voxels, found by a hash of their index, each field an array of its own; grows by doubling.
 
-    fields        name → dtype; a sub-array dtype such as `("u2", 3)` gives a field of shape (capacity, 512, 3)
+    fields        name → dtype; a sub-array dtype such as `("u2", 3)` gives a field of shape (capacity, n, 3) for n voxels a block
     voxel_size_m  edge of a voxel [m]
     fill          value of a field in a new block (default 0), such as the code of *unknown*
+    edge, axes    voxels along a block's edge, and axes that it extends along: 8³ by default; (8, 2) gives flat tiles of
+                  64 columns with block index (i, j, 0), (1, 3) single voxels, for layers that are sparser than blocks
 
     Slots are given in the order in which blocks are asked for and never move, so that equal calls give equal stores.
     Kernels take `store.table` (see `mapping.kernels.hashing.lookup`) and the arrays of `store.fields`; both are
@@ -103,11 +105,20 @@ class BlockStore:
     """
 
     def __init__(
-        self, fields: Mapping[str, DTypeLike], voxel_size_m: float, *, fill: Mapping[str, int | float] | None = None
+        self,
+        fields: Mapping[str, DTypeLike],
+        voxel_size_m: float,
+        *,
+        fill: Mapping[str, int | float] | None = None,
+        edge: int = BLOCK_EDGE,
+        axes: int = 3,
     ) -> None:
         if not (np.isfinite(voxel_size_m) and voxel_size_m > 0.0):
             raise InvalidParameter(f"voxel_size_m: expected a length > 0 m, got {voxel_size_m!r}")
         self.voxel_size_m = float(voxel_size_m)
+        self.edge = edge
+        self.n_cells = edge**axes
+        """Voxels of a block."""
         self._dtypes = {name: np.dtype(dtype) for name, dtype in fields.items()}
         self._fill = {name: (fill or {}).get(name, 0) for name in self._dtypes}
         self._capacity = 0
@@ -130,7 +141,7 @@ class BlockStore:
 
     @property
     def block_size_m(self) -> float:
-        return BLOCK_EDGE * self.voxel_size_m
+        return self.edge * self.voxel_size_m
 
     @property
     def memory_bytes(self) -> int:
@@ -143,7 +154,7 @@ class BlockStore:
         )
 
     def used(self, name: str) -> Array:
-        """(n_blocks, 512, …) the field of the blocks that exist (a view)."""
+        """(n_blocks, n_cells, …) the field of the blocks that exist (a view)."""
         return self.fields[name][: self._n_blocks]
 
     def find(self, block_ijk: ArrayLike) -> NDArray[np.int64]:
@@ -154,7 +165,8 @@ class BlockStore:
         return slots
 
     def locate(self, p_map: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Slot (N,) (−1: no block) and index within the block (N,) of the voxel that holds each point (N, 3) [m]."""
+        """Slot (N,) (−1: no block) and index within the block (N,) of the voxel that holds each point (N, 3) [m]; for
+        blocks of 8³."""
         points = as_points(p_map)
         slots = np.empty(len(points), np.int64)
         local = np.empty(len(points), np.int64)
@@ -181,8 +193,8 @@ class BlockStore:
 
     def _filled(self, name: str, n: int) -> Array:
         if self._fill[name] == 0:
-            return np.zeros((n, BLOCK_VOXELS), self._dtypes[name])
-        return np.full((n, BLOCK_VOXELS, *self._dtypes[name].shape), self._fill[name], self._dtypes[name].base)
+            return np.zeros((n, self.n_cells), self._dtypes[name])
+        return np.full((n, self.n_cells, *self._dtypes[name].shape), self._fill[name], self._dtypes[name].base)
 
     def _reserve(self, n: int) -> None:
         if n <= self._capacity:
@@ -215,7 +227,7 @@ class BlockStore:
             raise MappingError(f"the saved map lacks {', '.join(missing)}")
         blocks = as_blocks(state["block_ijk"])
         for name in self.fields:
-            expected = (len(blocks), BLOCK_VOXELS, *self._dtypes[name].shape)
+            expected = (len(blocks), self.n_cells, *self._dtypes[name].shape)
             values = state[name]
             if values.shape != expected or values.dtype != self._dtypes[name].base:
                 raise MappingError(

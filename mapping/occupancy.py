@@ -195,9 +195,21 @@ class OccupancyMap(MapLayer):
             )
         first = np.floor(low / self.voxel_size_m + 1e-6).astype(np.int64)
         beyond = np.ceil(high / self.voxel_size_m - 1e-6).astype(np.int64)
-        values = np.full(np.maximum(beyond - first, 1), occupancy.UNKNOWN, np.int8)
-        boxes.copy_box(values, self.store.table, self.store.fields["evidence"], first)
-        return _classes(values), first
+        nx, ny, nz = (int(n) for n in np.maximum(beyond - first, 1))
+        return _classes(self.evidence_in(first, (nx, ny, nz))), first
+
+    def evidence_in(self, first: ArrayLike, shape: tuple[int, int, int]) -> NDArray[np.int8]:
+        """The evidence of the voxels from `first` (3,) on, dense, int8 of `shape`; `kernels.occupancy.UNKNOWN` −128."""
+        values = np.full(shape, occupancy.UNKNOWN, np.int8)
+        boxes.copy_box(values, self.store.table, self.store.fields["evidence"], np.asarray(first, np.int64))
+        return values
+
+    def evidence_of(self, block_ijk: ArrayLike) -> NDArray[np.int8]:
+        """The evidence (K, 512) int8 of the voxels of blocks (K, 3); UNKNOWN −128 also where there is no block."""
+        slots = self.store.find(block_ijk)
+        values = self.store.fields["evidence"][slots]
+        values[slots < 0] = occupancy.UNKNOWN
+        return values
 
     def occupied_centres(self) -> NDArray[np.float64]:
         """Centres (N, 3) [m] of the occupied voxels."""

@@ -111,11 +111,9 @@ class Rooms:
         edge = occupancy.block_size_m
         low, high = storey.floor_z + BAND_M[0], storey.floor_z + BAND_M[1]
         blocks = blocks[(blocks[:, 2] * edge < high) & ((blocks[:, 2] + 1) * edge > low)]
-        slots = occupancy.store.find(blocks)
-        blocks, slots = blocks[slots >= 0], slots[slots >= 0]
         if not len(blocks):
             return []
-        evidence = occupancy.store.fields["evidence"][slots].reshape(-1, 8, 8, 8)
+        evidence = occupancy.evidence_of(blocks).reshape(-1, 8, 8, 8)
         heights = (blocks[:, 2, None] * 8 + np.arange(8) + 0.5) * occupancy.voxel_size_m
         in_band = (heights > low) & (heights < high)
         free = ((evidence < 0) & (evidence > -128) & in_band[:, None, None, :]).any(axis=3)
