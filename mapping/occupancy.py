@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import log
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,9 @@ from mapping.grid import (
 from mapping.kernels import boxes, occupancy, visibility
 from mapping.layer import Changed, MapLayer, require
 from mapping.view import DepthView, as_pose
+
+if TYPE_CHECKING:
+    from mapping.octomap_tree import OctoMapTree
 
 Array: TypeAlias = NDArray[Any]
 
@@ -52,6 +55,9 @@ class OccupancyMap(MapLayer):
     """
 
     kind: ClassVar[str] = "occupancy"
+
+    octomap: OctoMapTree | None = None
+    """The OctoMap file that the map was read from: exact log-odds and colours of what has not changed since."""
 
     def __init__(
         self,
@@ -221,7 +227,7 @@ class OccupancyMap(MapLayer):
         return self._centres((values < 0) & (values != occupancy.UNKNOWN))
 
     def write(self, path: str | Path) -> None:
-        """Write an OctoMap `.bt` file; see `mapping.octomap`."""
+        """Write an OctoMap file, `.bt` or `.ot` as its name ends; see `mapping.octomap`."""
         from mapping.octomap import write_octomap
 
         write_octomap(self, path)
