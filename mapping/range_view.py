@@ -1,0 +1,128 @@
+"""A lidar range image prepared for fusion: what each beam saw, and which blocks it can say anything about."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapping.errors import InvalidObservation
+from mapping.geometry import SE3
+from mapping.grid import as_points, point_to_ijk, read_only
+from mapping.kernels import lidar
+from mapping.sensors import LidarModel
+from mapping.view import ROOTS_ALONG_AXIS, as_pose
+
+Array: TypeAlias = NDArray[Any]
+
+
+def as_ranges_m(ranges: Array, model: LidarModel) -> NDArray[np.float32]:
+    """A range image of `model`, as contiguous float32 [m]."""
+    image = np.asarray(ranges)
+    if image.shape != model.shape:
+        raise InvalidObservation(
+            f"ranges: expected the model's shape (rows, columns) = {model.shape}, got {image.shape}"
+        )
+    if image.dtype != np.float32:
+        raise InvalidObservation(f"ranges: expected float32 [m], got {image.dtype}")
+    return read_only(np.ascontiguousarray(image))
+
+
+class RangeView:
+    """One lidar range image from one pose, prepared once for any number of layers.
+
+    ranges       (rows, columns) float32 [m]; 0 or NaN = not measured, infinity = nothing there
+    max_range_m  surfaces farther than this from the sensor [m] are not believed; free space is, up to it
+    """
+
+    def __init__(self, ranges: Array, model: LidarModel, T_map_sensor: SE3 | ArrayLike, max_range_m: float) -> None:
+        pose = as_pose(T_map_sensor, "T_map_sensor")
+        ranges_m = as_ranges_m(ranges, model)
+        inverse = pose.inverse()
+        self.model = model
+        self.max_range_m = float(max_range_m)
+        self.lidar: NDArray[np.float64] = np.array([*inverse.rotation.ravel(), *inverse.translation, *model.seeing])
+        """The lidar as kernels take it, with `rings` and `row_at`, see `mapping.kernels.lidar`."""
+        self.rings, self.row_at = model.rings, model.row_at
+        self.pose: NDArray[np.float64] = np.concatenate([pose.rotation.ravel(), pose.translation])
+        """(12,) R_map_sensor row by row, then t_map_sensor."""
+        self.reach: NDArray[np.float32] = np.empty_like(ranges_m)
+        """(rows, columns) float32 see `mapping.kernels.lidar`."""
+        self.farthest_m = float(lidar.measure_reach(ranges_m, self.max_range_m, self.reach))
+        """The largest range of which the image says anything [m]."""
+        levels = min(lidar.WINDOWS, max(model.shape).bit_length(), model.columns.bit_length())
+        self._lows = np.empty((levels, *model.shape), np.float32)
+        self._highs = np.empty_like(self._lows)
+        lidar.build_windows(self.reach, model.seeing[2] == model.seeing[3], self._lows, self._highs)
+        self._p_map: NDArray[np.float64] | None = None
+
+    @classmethod
+    def from_points(
+        cls, p_sensor: ArrayLike, model: LidarModel, T_map_sensor: SE3 | ArrayLike, max_range_m: float
+    ) -> RangeView:
+        """A scan of points (N, 3) [m] in the sensor frame. What is free is seen along the model's beams; what is hit
+        is where the points are."""
+        pose = as_pose(T_map_sensor, "T_map_sensor")
+        points = as_points(p_sensor, "p_sensor")
+        if not np.isfinite(points).all():
+            raise InvalidObservation("p_sensor: expected finite points, got NaN or infinity")
+        ranges, _ = model.range_image(points)
+        view = cls(ranges, model, pose, max_range_m)
+        view._p_map = pose @ points[np.linalg.norm(points, axis=1) <= max_range_m]
+        return view
+
+    @property
+    def clear(self) -> NDArray[np.float32]:
+        """(rows, columns) float32 [m] the lowest range that a beam and its neighbours saw."""
+        return np.asarray(self._lows[0])
+
+    def blocks(
+        self, block_size_m: float, *, front_m: float, back_m: float, with_free: bool
+    ) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
+        """The blocks (n, 3) that the image sees and their kinds (n,): `visibility.MIXED` or, if asked for, `FREE`.
+
+        front_m, back_m : how far before and behind a surface a block still counts as near it [m]
+        """
+        roots, level = self._roots(block_size_m, back_m)
+        n = 1 << 14
+        while True:
+            blocks, kinds = np.empty((n, 3), np.int32), np.empty(n, np.uint8)
+            count = lidar.list_blocks(
+                self._lows,
+                self._highs,
+                self.lidar,
+                self.rings,
+                self.row_at,
+                roots,
+                level,
+                block_size_m,
+                front_m,
+                back_m,
+                with_free,
+                blocks,
+                kinds,
+            )
+            if count <= n:
+                return blocks[:count], kinds[:count]
+            n = count
+
+    def hits(self, voxel_size_m: float) -> NDArray[np.int32]:
+        """The voxels (n, 3) that a beam ended in; some may be named more than once."""
+        if self._p_map is not None:
+            return point_to_ijk(self._p_map, voxel_size_m)
+        voxels = np.empty((self.reach.size, 3), np.int32)
+        elevations, azimuths = self.model.elevations, self.model.azimuths
+        angles = np.concatenate([elevations, azimuths])
+        directions = np.stack([np.sin(angles), np.cos(angles)], axis=1)
+        return voxels[: lidar.list_hits(self.reach, directions, self.pose, voxel_size_m, voxels)]
+
+    def _roots(self, block_size_m: float, back_m: float) -> tuple[NDArray[np.int64], int]:
+        """The cells (r, 3) of 2^level blocks along an edge that the reach's bounding box meets, and that level."""
+        if self.farthest_m == 0.0:
+            return np.empty((0, 3), np.int64), 0
+        low, high = self.pose[9:] - self.farthest_m - back_m, self.pose[9:] + self.farthest_m + back_m
+        level = max(0, int(np.ceil(np.log2((high - low).max() / (ROOTS_ALONG_AXIS * block_size_m)))))
+        edge_m = block_size_m * (1 << level)
+        axes = [np.arange(np.floor(a / edge_m), np.floor(b / edge_m) + 1) for a, b in zip(low, high, strict=True)]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.int64), level
