@@ -145,7 +145,9 @@ class TsdfMap(MapLayer):
             if not self.has_color:
                 self._keep_color()
         size, tau = self.voxel_size_m, self.truncation_m
-        blocks, kinds = view.blocks(self.block_size_m, front_m=tau, back_m=tau, with_free=self.carve)
+        blocks, kinds = view.blocks(
+            self.block_size_m, front_m=tau, back_m=tau, with_free=self.carve, gaps_are_free=True
+        )
         slots = self.store.find(blocks)
         seen = (slots >= 0) | (kinds == visibility.MIXED)
         blocks, slots = blocks[seen], slots[seen]

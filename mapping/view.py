@@ -65,26 +65,29 @@ class DepthView:
         """(12,) R_map_camera row by row, then t_map_camera."""
         self.reach: NDArray[np.float32] = np.empty_like(depth_m)
         """(H, W) float32 see `mapping.kernels.visibility`."""
-        self.farthest_m = float(visibility.measure_reach(depth_m, self.camera, float(max_range_m), self.reach))
-        """The largest depth z of which the image says anything [m]."""
-        cells = (visibility.LEVELS, -(-model.height // visibility.CELL), -(-model.width // visibility.CELL), 2)
+        visibility.measure_reach(depth_m, self.camera, float(max_range_m), self.reach)
+        cells = (visibility.LEVELS, -(-model.height // visibility.CELL), -(-model.width // visibility.CELL), 4)
         self._pyramid = np.empty(cells, np.float32)
-        visibility.build_pyramid(self.reach, self._pyramid)
+        self.farthest_m = float(visibility.build_pyramid(self.reach, self._pyramid))
+        """The largest depth z of which the image says anything [m]."""
 
     def blocks(
-        self, block_size_m: float, *, front_m: float, back_m: float, with_free: bool
+        self, block_size_m: float, *, front_m: float, back_m: float, with_free: bool, gaps_are_free: bool = False
     ) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
         """The blocks (n, 3) that the image sees and their kinds (n,): `visibility.MIXED` or, if asked for, `FREE`.
 
         front_m, back_m : how far before and behind a surface a block still counts as near it [m]
+        gaps_are_free   : whether whatever is near no surface and before some counts as free, even where it is covered
+                          in part by pixels that say nothing; for layers that look at surfaces only
         """
         roots, level = self._roots(block_size_m, back_m)
         n = 4096
         while True:
             blocks, kinds = np.empty((n, 3), np.int32), np.empty(n, np.uint8)
             count = visibility.list_blocks(
-                self._pyramid, self.camera, roots, level, block_size_m, front_m, back_m, with_free, blocks, kinds
-            )
+                self._pyramid, self.camera, roots, level, block_size_m, front_m, back_m, with_free, gaps_are_free,
+                blocks, kinds,
+            )  # fmt: skip
             if count <= n:
                 return blocks[:count], kinds[:count]
             n = count

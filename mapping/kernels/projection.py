@@ -13,6 +13,13 @@ Int: TypeAlias = Any
 Float: TypeAlias = Any
 
 
+_W = np.arange(512)
+_LOCAL_I: NDArray[np.float32] = (_W >> 6).astype(np.float32)
+_LOCAL_J: NDArray[np.float32] = ((_W >> 3) & 7).astype(np.float32)
+_LOCAL_K: NDArray[np.float32] = (_W & 7).astype(np.float32)
+# Where each voxel is within its block: read, for turning integers into these takes longer than all the rest.
+
+
 @njit(cache=True, error_model="numpy")
 def project_block(
     bi: Int, bj: Int, bk: Int, voxel_size: Float, camera: Array, pixels: Array, z: Array, stretch: Array
@@ -37,7 +44,7 @@ def project_block(
     y0 = np.float32(camera[3] * a + camera[4] * b + camera[5] * c + camera[10])
     z0 = np.float32(camera[6] * a + camera[7] * b + camera[8] * c + camera[11])
     for w in range(512):  # no branches, so that it runs on vectors
-        i, j, k = np.float32(w >> 6), np.float32((w >> 3) & 7), np.float32(w & 7)
+        i, j, k = _LOCAL_I[w], _LOCAL_J[w], _LOCAL_K[w]
         depth = z0 + i * r6 + j * r7 + k * r8
         before = depth > np.float32(1e-4)
         inverse = one / (depth if before else one)

@@ -28,12 +28,11 @@ MIXED, FREE = 1, 2
 
 
 @njit(cache=True, error_model="numpy")
-def measure_reach(depth: Array, camera: Array, max_range: Float, reach: Array) -> Float:
-    """Turn a depth image (H, W) float32 [m] (0, NaN: nothing) into a reach image, in place; returns the largest."""
+def measure_reach(depth: Array, camera: Array, max_range: Float, reach: Array) -> None:
+    """Turn a depth image (H, W) float32 [m] (0, NaN: nothing) into a reach image, in place."""
     fx, fy, cx, cy = camera[12], camera[13], camera[14], camera[15]
     limit = np.float32(max_range)
     nothing = np.float32(0.0)
-    farthest = np.float32(0.0)
     width = depth.shape[1]
     x_squared = np.empty(width, np.float32)
     for u in range(width):
@@ -45,76 +44,128 @@ def measure_reach(depth: Array, camera: Array, max_range: Float, reach: Array) -
             end = limit / np.sqrt(y_squared + x_squared[u])
             reached = d if d <= end else -end
             reach[v, u] = reached if d > nothing else nothing
-        for u in range(width):
-            farthest = max(farthest, abs(reach[v, u]))
-    return farthest
+
+
+@njit(inline="always")
+def least(a: Float, b: Float) -> Float:
+    """The lower number, in the form that becomes one instruction."""
+    return a if a < b else b
+
+
+@njit(inline="always")
+def most(a: Float, b: Float) -> Float:
+    """The higher number, in the form that becomes one instruction."""
+    return a if a > b else b
 
 
 @njit(cache=True)
-def build_pyramid(reach: Array, pyramid: Array) -> None:
-    """Fill `pyramid` (LEVELS, ⌈H/CELL⌉, ⌈W/CELL⌉, 2) with the lowest and highest |reach| of each cell, in place.
+def build_pyramid(reach: Array, pyramid: Array) -> Float:
+    """Fill `pyramid` (LEVELS, ⌈H/CELL⌉, ⌈W/CELL⌉, 4), in place; returns the highest |reach| of all.
 
-    A pixel that says nothing counts as 0 for both.
+    For each cell: the lowest and highest |reach|, for which a pixel that says nothing counts as 0, and the lowest and
+    highest depth of a surface, ∞ and 0 where there is none.
     """
     height, width = reach.shape
     rows, columns = pyramid.shape[1], pyramid.shape[2]
-    lows = np.empty(columns * CELL, np.float32)
-    highs = np.empty(columns * CELL, np.float32)
+    none = np.float32(np.inf)
+    zero = np.float32(0.0)
+    bounds = np.empty((4, columns * CELL), np.float32)
+    bounds[0::2] = none
+    bounds[1::2] = zero
+    lows, highs, nears, fars = bounds[0], bounds[1], bounds[2], bounds[3]
     for r in range(rows):
-        lows[:] = np.inf
-        highs[:] = 0.0
-        for v in range(r * CELL, min(r * CELL + CELL, height)):
-            for u in range(width):
-                d = abs(reach[v, u])
-                lows[u] = d if d < lows[u] else lows[u]
-                highs[u] = d if d > highs[u] else highs[u]
+        last = height - 1  # all eight rows at once, so that it runs on vectors; those below the image are its last
+        p0, p1 = reach[min(r * CELL, last)], reach[min(r * CELL + 1, last)]
+        p2, p3 = reach[min(r * CELL + 2, last)], reach[min(r * CELL + 3, last)]
+        p4, p5 = reach[min(r * CELL + 4, last)], reach[min(r * CELL + 5, last)]
+        p6, p7 = reach[min(r * CELL + 6, last)], reach[min(r * CELL + 7, last)]
+        for u in range(width):
+            a, b, c, d = abs(p0[u]), abs(p1[u]), abs(p2[u]), abs(p3[u])
+            e, f, g, h = abs(p4[u]), abs(p5[u]), abs(p6[u]), abs(p7[u])
+            lows[u] = least(least(least(a, b), least(c, d)), least(least(e, f), least(g, h)))
+            highs[u] = most(most(most(a, b), most(c, d)), most(most(e, f), most(g, h)))
+        for u in range(width):
+            a, b, c, d, e, f, g, h = p0[u], p1[u], p2[u], p3[u], p4[u], p5[u], p6[u], p7[u]
+            fars[u] = most(most(most(most(a, b), most(c, d)), most(most(e, f), most(g, h))), zero)
+            a, b = a if a > zero else none, b if b > zero else none
+            c, d = c if c > zero else none, d if d > zero else none
+            e, f = e if e > zero else none, f if f > zero else none
+            g, h = g if g > zero else none, h if h > zero else none
+            nears[u] = least(least(least(a, b), least(c, d)), least(least(e, f), least(g, h)))
         for c in range(columns):
-            low = lows[c * CELL]
-            high = highs[c * CELL]
-            for u in range(c * CELL + 1, c * CELL + CELL):
-                low = min(low, lows[u])
-                high = max(high, highs[u])
+            first = c * CELL
+            low, high, near, far = lows[first], highs[first], nears[first], fars[first]
+            for u in range(first + 1, first + CELL):
+                low, high = least(low, lows[u]), most(high, highs[u])
+                near, far = least(near, nears[u]), most(far, fars[u])
             pyramid[0, r, c, 0] = low
             pyramid[0, r, c, 1] = high
+            pyramid[0, r, c, 2] = near
+            pyramid[0, r, c, 3] = far
     for level in range(1, pyramid.shape[0]):
         below_rows, below_columns = rows, columns
         rows, columns = (rows + 1) >> 1, (columns + 1) >> 1
         for r in range(rows):
             for c in range(columns):
-                low = np.float32(np.inf)
-                high = np.float32(0.0)
+                low, high, near, far = none, zero, none, zero
                 for v in range(2 * r, min(2 * r + 2, below_rows)):
                     for u in range(2 * c, min(2 * c + 2, below_columns)):
-                        low = min(low, pyramid[level - 1, v, u, 0])
-                        high = max(high, pyramid[level - 1, v, u, 1])
+                        below = pyramid[level - 1, v, u]
+                        low, high = least(low, below[0]), most(high, below[1])
+                        near, far = least(near, below[2]), most(far, below[3])
                 pyramid[level, r, c, 0] = low
                 pyramid[level, r, c, 1] = high
+                pyramid[level, r, c, 2] = near
+                pyramid[level, r, c, 3] = far
+    highest = zero
+    for r in range(rows):
+        for c in range(columns):
+            highest = most(highest, pyramid[pyramid.shape[0] - 1, r, c, 1])
+    return highest
 
 
 @njit(cache=True)
-def depth_bounds(pyramid: Array, u0: Int, u1: Int, v0: Int, v1: Int) -> tuple[Float, Float]:
-    """Lowest and highest |reach| over at least the pixels u0 … u1, v0 … v1 (inclusive, inside the image)."""
+def judge_pixels(
+    pyramid: Array, u0: Int, u1: Int, v0: Int, v1: Int, z_low: Float, z_high: Float
+) -> tuple[bool, bool, bool]:
+    """What at least the pixels u0 … u1, v0 … v1 (inclusive, inside the image) say of the depths z_low … z_high [m].
+
+    Returns whether a surface may lie there, whether some pixel reaches z_low, and whether all reach beyond z_high.
+    """
     size = max(u1 - u0, v1 - v0) + 1
     level = 0
     while level + 1 < pyramid.shape[0] and (CELL << level) * 4 < size:
         level += 1
     cell = CELL << level
-    low = np.float32(np.inf)
-    high = np.float32(0.0)
+    surface = reached = False
+    beyond = True
     for r in range(v0 // cell, v1 // cell + 1):
         for c in range(u0 // cell, u1 // cell + 1):
-            low = min(low, pyramid[level, r, c, 0])
-            high = max(high, pyramid[level, r, c, 1])
-    return low, high
+            low, high = pyramid[level, r, c, 0], pyramid[level, r, c, 1]
+            near, far = pyramid[level, r, c, 2], pyramid[level, r, c, 3]
+            surface |= (far >= z_low) & (near <= z_high) & (far > 0.0)
+            reached |= (high >= z_low) & (high > 0.0)
+            beyond &= low > z_high
+    return surface, reached, beyond
 
 
 @njit(cache=True)
 def classify_cell(
-    pyramid: Array, camera: Array, x: Float, y: Float, z: Float, half: Float, front: Float, back: Float
+    pyramid: Array,
+    camera: Array,
+    x: Float,
+    y: Float,
+    z: Float,
+    half: Float,
+    front: Float,
+    back: Float,
+    gaps_are_free: bool,
 ) -> Int:
     """What the image says of the cube with centre x, y, z [m, camera frame] and half an edge [m], along the map's axes.
 
-    front, back : how far [m] before and behind a surface counts as near it
+    front, back   : how far [m] before and behind a surface counts as near it
+    gaps_are_free : whether FREE may also be what is covered in part by pixels that say nothing or by none, or what lies
+                    behind some surface and far before another
     Returns 0 (not seen), MIXED or FREE; never wrongly 0 or FREE.
     """
     hx = half * (abs(camera[0]) + abs(camera[1]) + abs(camera[2]))
@@ -159,10 +210,12 @@ def classify_cell(
     v0, v1 = max(v0, 0.0), min(v1, height - 1.0)
     if u0 > u1 or v0 > v1:
         return 0
-    low, high = depth_bounds(pyramid, np.int64(u0), np.int64(u1), np.int64(v0), np.int64(v1))
-    if z_low - back > high or high == 0.0:
+    near_surface, reached, beyond = judge_pixels(
+        pyramid, np.int64(u0), np.int64(u1), np.int64(v0), np.int64(v1), z_low - back, z_high + front
+    )
+    if not reached:
         return 0
-    if inside and z_high + front < low:
+    if (not near_surface) if gaps_are_free else (inside and beyond):
         return FREE
     return MIXED
 
@@ -177,6 +230,7 @@ def list_blocks(
     front: Float,
     back: Float,
     with_free: bool,
+    gaps_are_free: bool,
     blocks: Array,
     kinds: Array,
 ) -> Int:
@@ -200,7 +254,7 @@ def list_blocks(
             x = camera[0] * a + camera[1] * b + camera[2] * c + camera[9]
             y = camera[3] * a + camera[4] * b + camera[5] * c + camera[10]
             z = camera[6] * a + camera[7] * b + camera[8] * c + camera[11]
-            kind = classify_cell(pyramid, camera, x, y, z, 0.5 * edge, front, back)
+            kind = classify_cell(pyramid, camera, x, y, z, 0.5 * edge, front, back, gaps_are_free)
             if kind == 0 or (kind == FREE and not with_free):
                 continue
             if level > 0 and kind == MIXED:
