@@ -197,7 +197,7 @@ def build_windows(reach: Array, wraps: bool, lows: Array, highs: Array) -> None:
 @njit(cache=True)
 def range_bounds(lows: Array, highs: Array, row0: Int, row1: Int, column0: Int, n_columns: Int) -> tuple[Float, Float]:
     """Lowest and highest range over at least rows row0 … row1 and n_columns columns from column0 on, which may wrap."""
-    rows, columns = lows.shape[1], lows.shape[2]
+    columns = lows.shape[2]
     n_rows = row1 - row0 + 1
     level = 0
     while level + 1 < lows.shape[0] and (
@@ -412,7 +412,8 @@ def list_hits(reach: Array, directions: Array, pose: Array, voxel_size: Float, v
 
     directions : (rows + columns, 2) float64: sine and cosine of each row's elevation, then of each column's azimuth
     pose       : (12,) float64, R_map_sensor row by row and t_map_sensor
-    voxels     : (n, 3) int32, filled in place from the start; n must be the number of pixels. Returns how many there are.
+    voxels     : (n, 3) int32, filled in place from the start; n must be the number of pixels. Returns how many
+                 there are.
     """
     per_voxel = 1.0 / voxel_size
     rows, columns = reach.shape

@@ -1,0 +1,142 @@
+"""Image kernels: depth images ⇄ points, and one camera's image as another camera's pixels.
+
+A *camera* is a (6,) float64 array: fx, fy, cx, cy, width, height. A pose is (12,) float64: the rotation row by row, then
+the translation [m].
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[Any]
+Int: TypeAlias = Any
+Float: TypeAlias = Any
+
+FOOTPRINT = 1.25
+"""A pixel of depth covers its share of the other image and a quarter more, for surfaces that the other camera sees
+less aslant."""
+
+
+@njit(cache=True, error_model="numpy")
+def lift_depth(depth: Array, camera: Array, points: Array) -> Int:
+    """The point (x, y, z) [m, optical frame] of each pixel of depth (H, W) float32 [m] that measured something, row by
+    row.
+
+    points : (H · W, 3) float32, filled in place from the start. Returns how many there are.
+    """
+    per_x, per_y = np.float32(1.0 / camera[0]), np.float32(1.0 / camera[1])
+    cx, cy = np.float32(camera[2]), np.float32(camera[3])
+    count = 0
+    for v in range(depth.shape[0]):
+        y = (np.float32(v) - cy) * per_y
+        for u in range(depth.shape[1]):
+            z = depth[v, u]
+            points[count, 0] = (np.float32(u) - cx) * per_x * z
+            points[count, 1] = y * z
+            points[count, 2] = z
+            count += np.int64((z > np.float32(0.0)) & (z < np.float32(np.inf)))
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def drop_points(points: Array, camera: Array, depth: Array, index: Array) -> None:
+    """The depth image (H, W) float32 [m] that a camera at the origin sees of points (n, 3) float64 [m, optical frame].
+
+    depth, index : (H, W), filled: the nearest point of each pixel, 0 and −1 where there is none; of points at the same
+                   depth the last counts
+    """
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    depth[:] = 0.0
+    index[:] = -1
+    for n in range(points.shape[0]):
+        z = points[n, 2]
+        if not 0.0 < z < np.inf:
+            continue
+        column = np.floor(points[n, 0] / z * fx + cx + 0.5)
+        row = np.floor(points[n, 1] / z * fy + cy + 0.5)
+        if not (0.0 <= column < camera[4] and 0.0 <= row < camera[5]):
+            continue
+        u, v = np.int64(column), np.int64(row)
+        if index[v, u] < 0 or z <= points[index[v, u], 2]:
+            depth[v, u] = z
+            index[v, u] = n
+
+
+@njit(cache=True, error_model="numpy")
+def look_from(depth: Array, camera: Array, pose: Array, other: Array, seen: Array) -> None:
+    """Where each pixel of a depth image (H, W) float32 [m] lies in the image of another camera.
+
+    pose : of this camera in the other's frame
+    seen : (H, W, 3) float32, filled: column, row and depth [m] in the other camera; depth 0 where this camera measured
+           nothing or the point lies outside the other's image
+    """
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            d = np.float64(depth[v, u])
+            x, y = (u - cx) / fx * d, (v - cy) / fy * d
+            z = pose[6] * x + pose[7] * y + pose[8] * d + pose[11]
+            column = (pose[0] * x + pose[1] * y + pose[2] * d + pose[9]) / z * other[0] + other[2]
+            row = (pose[3] * x + pose[4] * y + pose[5] * d + pose[10]) / z * other[1] + other[3]
+            inside = 0.0 < d < np.inf and z > 0.0
+            inside = inside and -0.5 <= column < other[4] - 0.5 and -0.5 <= row < other[5] - 0.5
+            seen[v, u, 0] = column if inside else 0.0
+            seen[v, u, 1] = row if inside else 0.0
+            seen[v, u, 2] = z if inside else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def cover(depth: Array, seen: Array, magnify_x: Float, magnify_y: Float, nearest: Array) -> None:
+    """How near the surfaces are that cover each pixel of the other camera, in place.
+
+    seen                 : (H, W, 3) float32 as `look_from` gives it, for depth (H, W) float32 [m]
+    magnify_x, magnify_y : pixels of the other image for one of this, at equal depth
+    nearest              : (h, w) float32, lowered to the depth [m] in the other camera of what covers the pixel
+    """
+    height, width = nearest.shape
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            z = seen[v, u, 2]
+            if z == np.float32(0.0):
+                continue
+            reach = 0.5 * FOOTPRINT * depth[v, u] / z
+            column, row = seen[v, u, 0], seen[v, u, 1]
+            column0 = max(np.int64(np.ceil(column - reach * magnify_x)), 0)
+            column1 = min(np.int64(np.floor(column + reach * magnify_x)), width - 1)
+            row0 = max(np.int64(np.ceil(row - reach * magnify_y)), 0)
+            row1 = min(np.int64(np.floor(row + reach * magnify_y)), height - 1)
+            for j in range(row0, row1 + 1):
+                for i in range(column0, column1 + 1):
+                    nearest[j, i] = min(nearest[j, i], z)
+
+
+@njit(cache=True)
+def pick_colors(seen: Array, nearest: Array, tolerance: Float, color: Array, picked: Array, valid: Array) -> None:
+    """The colour of each pixel of depth, between the four pixels of `color` (h, w, 3) uint8 about it.
+
+    seen, nearest : as `look_from` and `cover` give them; farther than (1 + tolerance) · nearest is hidden
+    picked, valid : (H, W, 3) uint8 and (H, W) bool, filled; black where not valid
+    """
+    height, width = nearest.shape
+    for v in range(seen.shape[0]):
+        for u in range(seen.shape[1]):
+            column, row, z = seen[v, u, 0], seen[v, u, 1], seen[v, u, 2]
+            i = min(max(np.int64(np.floor(column + np.float32(0.5))), 0), width - 1)
+            j = min(max(np.int64(np.floor(row + np.float32(0.5))), 0), height - 1)
+            valid[v, u] = z > 0.0 and z <= nearest[j, i] * (1.0 + tolerance)
+            if not valid[v, u]:
+                picked[v, u] = 0
+                continue
+            column = min(max(column, np.float32(0.0)), np.float32(width - 1))
+            row = min(max(row, np.float32(0.0)), np.float32(height - 1))
+            i, j = np.int64(column), np.int64(row)
+            right, below = min(i + 1, width - 1), min(j + 1, height - 1)
+            a, b = column - np.float32(i), row - np.float32(j)
+            for c in range(3):
+                upper = color[j, i, c] * (1.0 - a) + color[j, right, c] * a
+                lower = color[below, i, c] * (1.0 - a) + color[below, right, c] * a
+                picked[v, u, c] = np.uint8(upper * (1.0 - b) + lower * b + 0.5)
