@@ -34,10 +34,14 @@ def test_a_real_map_comes_back_byte_for_byte(tmp_path):
     assert layer.voxel_size_m == 0.08
 
 
-def test_a_map_that_is_not_pruned_comes_back_as_octomap_writes_it(tmp_path):
+def test_a_map_that_is_not_pruned_comes_back_too_and_pruned_once_its_file_is_forgotten(tmp_path):
     pyoctomap = pytest.importorskip("pyoctomap")
     path = recording("la3dm_sim_lidar_poses/sim_structured/map.bt")
-    read_octomap(path).write(tmp_path / "ours.bt")
+    layer = read_octomap(path)
+    layer.write(tmp_path / "again.bt")
+    assert (tmp_path / "again.bt").read_bytes() == path.read_bytes()
+    layer.octomap = None
+    layer.write(tmp_path / "ours.bt")
     tree = pyoctomap.OcTree(0.1)
     tree.readBinary(str(path))
     tree.writeBinary(str(tmp_path / "theirs.bt"))

@@ -1,0 +1,161 @@
+"""Writing OctoMap files: the tree of a map, with the file's own nodes where it has not changed since it was read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import log
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.errors import InvalidParameter
+from mapping.grid import BLOCK_VOXELS
+from mapping.kernels import octree_merge, octrees
+from mapping.octomap_tree import BINARY, FULL, HIGHEST, LOWEST, NODES, OctoMapTree, list_cells, morton_codes
+
+if TYPE_CHECKING:
+    from mapping.occupancy import OccupancyMap
+
+Array: TypeAlias = NDArray[Any]
+ColorsOf: TypeAlias = Callable[[NDArray[np.float64]], NDArray[np.uint8]]
+
+_COMMENT = b"# (feel free to add / change comments, but leave the first line as it is!)\n#\n"
+_CHUNK = 8192  # blocks that are asked of the map at a time
+
+
+def write_octomap(occupancy: OccupancyMap, path: str | Path, *, colors: ColorsOf | None = None) -> None:
+    """Write the map as an OctoMap file, `.bt` (each voxel free or occupied) or `.ot` (log-odds) as the name ends.
+
+    colors : what gives the colours (N, 3) uint8 of points (N, 3) [m], asked at the centres of occupied leaves, for an
+             `.ot` file with colours; white means none. Without it, colours of the file that was read are kept
+
+    Nodes of the file that the map was read from are written as they were where the map has not changed since, but a
+    `.bt` file from an `.ot` file has clamped values and is pruned, as OctoMap's `writeBinary` does. Raises
+    `InvalidParameter` where the name ends otherwise, a `.bt` file should have colours, the colours are of another
+    shape, the map reaches beyond ±32768 voxels, or is one single cell that fills the whole of this (`.bt`).
+    """
+    suffix = Path(path).suffix
+    if suffix not in (".bt", ".ot"):
+        raise InvalidParameter(f"path: expected a name that ends in .bt or .ot, got {Path(path).name!r}")
+    binary = suffix == ".bt"
+    if binary and colors is not None:
+        raise InvalidParameter(
+            f"colors: a .bt file has none, expected a name that ends in .ot, got {Path(path).name!r}"
+        )
+    origin = occupancy.octomap
+    kind = "OcTree" if origin is None else origin.kind
+    kept = None if binary and origin is not None and not origin.is_binary else origin
+    children, log_odds, color = _merge(occupancy, kept, binary)
+    if colors is not None:
+        kind, color = "ColorOcTree", _ask_colors(colors, children, log_odds, occupancy.voxel_size_m)
+    stream = _binary(children, log_odds) if binary else _full(NODES[kind], children, log_odds, color)
+    size = occupancy.voxel_size_m
+    resolution = f"{size:g}" if float(f"{size:g}") == size else repr(size)
+    header = f"id {kind}\nsize {len(children)}\nres {resolution}\ndata\n"
+    with Path(path).open("wb") as file:
+        file.write((BINARY if binary else FULL) + b"\n" + _COMMENT + header.encode("ascii"))
+        file.write(stream.tobytes())
+
+
+def evidence_of_tree(occupancy: OccupancyMap, tree: OctoMapTree) -> NDArray[np.int8]:
+    """The evidence (n,) that the map has for the log-odds of each node of `tree`: the nearest step, clamped."""
+    lowest, highest = occupancy.lowest_evidence, occupancy.highest_evidence
+    if tree.content.dtype == np.bool_:
+        return np.where(tree.content, np.int8(highest), np.int8(lowest))
+    steps = np.rint(tree.content * np.float32(1.0 / occupancy.log_odds_step))
+    steps = np.where(tree.content >= 0.0, np.maximum(steps, 0.0), np.minimum(steps, -1.0))
+    return np.clip(steps, lowest, highest).astype(np.int8)
+
+
+def _log_odds_of_evidence(occupancy: OccupancyMap, binary: bool) -> NDArray[np.float32]:
+    """The log-odds (256,) of evidence −128 …: for `.bt` files OctoMap's clamps, else the map's and what is between."""
+    evidence = np.arange(-128, 128)
+    if binary:
+        return np.where(evidence >= 0, HIGHEST, LOWEST).astype(np.float32)
+    log_odds = (evidence * occupancy.log_odds_step).astype(np.float32)
+    for at, probability in (
+        (occupancy.lowest_evidence, occupancy.lowest),
+        (occupancy.highest_evidence, occupancy.highest),
+    ):
+        log_odds[at + 128] = log(probability / (1.0 - probability))
+    return log_odds
+
+
+def _cells(occupancy: OccupancyMap) -> tuple[Array, Array, Array, Array]:
+    """The map as cells that do not overlap, in Morton order: code, level, content; and the voxels of mixed blocks."""
+    blocks = occupancy.block_ijk
+    if len(blocks) and (blocks.min() < -octrees.ORIGIN // 8 or blocks.max() >= octrees.ORIGIN // 8):
+        raise InvalidParameter(f"the map reaches beyond ±{octrees.ORIGIN} voxels, which OctoMap files cannot hold")
+    codes = morton_codes(blocks.astype(np.int64) + octrees.ORIGIN // 8)
+    order = np.argsort(codes)
+    contents = np.empty(len(blocks), np.int64)
+    mixed = [np.empty((0, BLOCK_VOXELS), np.int8)]
+    n_mixed = 0
+    for first in range(0, len(blocks), _CHUNK):
+        evidence = occupancy.evidence_of(blocks[order[first : first + _CHUNK]])
+        rows = np.flatnonzero((evidence != evidence[:, :1]).any(axis=1))
+        chunk = contents[first : first + _CHUNK]
+        chunk[:] = evidence[:, 0]
+        chunk[rows] = octree_merge.ROW + n_mixed + np.arange(len(rows))
+        mixed.append(evidence[rows])
+        n_mixed += len(rows)
+    return codes[order], np.full(len(blocks), 3, np.int8), contents, np.concatenate(mixed)
+
+
+def _merge(occupancy: OccupancyMap, origin: OctoMapTree | None, binary: bool) -> tuple[Array, Array, Array | None]:
+    """The nodes of the map's tree: children, log-odds, and colours where `origin` has them."""
+    codes, levels, contents, evidence = _cells(occupancy)
+    values_of = _log_odds_of_evidence(occupancy, binary)
+    if origin is None:
+        of_file: tuple[Array, ...] = (np.empty(0, np.uint8), np.empty(0, np.int8), np.empty(0, np.float32))
+        file_colors = None
+    else:
+        of_file, file_colors = (origin.children, evidence_of_tree(occupancy, origin), origin.log_odds), origin.colors
+    white = np.full((1, 3), octrees.WHITE, np.uint8)
+    frames = np.empty((octrees.DEPTH + 2, octree_merge.FRAME), np.int64)
+    limits = np.zeros((octrees.DEPTH + 2, 2), np.float32)
+    cursor = np.array([octrees.DEPTH, 1, 0])
+    octree_merge.open_root(frames, contents[0] if list(levels) == [octrees.DEPTH] else octree_merge.SEVERAL, of_file[0])
+    room = len(of_file[0]) + 64 * len(codes) + 64
+    children, values = np.empty(room, np.uint8), np.empty(room, np.float32)
+    colors = white if file_colors is None else np.empty((room, 3), np.uint8)
+    while not octree_merge.merge(
+        children, values, colors, cursor, frames, limits, codes, levels, contents, evidence, values_of,
+        *of_file, white if file_colors is None else file_colors,
+    ):  # fmt: skip
+        children, values = (np.concatenate([array, np.empty_like(array)]) for array in (children, values))
+        if file_colors is not None:
+            colors = np.concatenate([colors, np.empty_like(colors)])
+    n = int(cursor[1])
+    return children[:n], values[:n], None if file_colors is None else colors[:n]
+
+
+def _ask_colors(colors_of: ColorsOf, children: Array, log_odds: Array, voxel_size_m: float) -> NDArray[np.uint8]:
+    nodes, corners, levels = list_cells(children, 0)
+    occupied = log_odds[nodes] >= 0.0
+    centres = (corners[occupied] + 0.5 * (1 << levels[occupied].astype(np.int64))[:, None]) * voxel_size_m
+    asked = np.asarray(colors_of(centres))
+    if asked.shape != centres.shape or asked.dtype != np.uint8:
+        raise InvalidParameter(f"colors: expected uint8 {centres.shape}, got {asked.dtype} {asked.shape}")
+    colors = np.full((len(children), 3), octrees.WHITE, np.uint8)
+    colors[nodes[occupied]] = asked
+    octrees.average_colors(colors, children)
+    return colors
+
+
+def _binary(children: Array, log_odds: Array) -> Array:
+    if len(children) == 1:
+        raise InvalidParameter("the map fills the whole address space, which .bt files cannot hold")
+    words = np.empty(np.count_nonzero(children), np.uint16)
+    octrees.write_words(children, log_odds >= 0.0, words)
+    return words.astype("<u2", copy=False)
+
+
+def _full(node: np.dtype[Any], children: Array, log_odds: Array, colors: Array | None) -> Array:
+    nodes = np.empty(len(children), node)
+    nodes["log_odds"], nodes["children"] = log_odds, children
+    if colors is not None:
+        nodes["color"] = colors
+    return nodes
