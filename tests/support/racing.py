@@ -1,0 +1,143 @@
+"""Timing beside peers: both take turns in one process, so that what else the machine does meets them alike."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+Step = Callable[[int], object]
+"""What is timed; it is given the number of the round."""
+
+
+@dataclass(frozen=True)
+class Times:
+    """How long each round took [ms]."""
+
+    all_ms: Sequence[float]
+
+    @property
+    def median(self) -> float:
+        return float(np.median(self.all_ms))
+
+    @property
+    def least(self) -> float:
+        return float(np.min(self.all_ms))
+
+    def __str__(self) -> str:
+        return f"{self.median:.3g} ({self.least:.3g})"
+
+
+def race(
+    benchmark: Any,
+    ours: Step,
+    peers: Mapping[str, Step],
+    *,
+    rounds: int,
+    peer_every: int = 1,
+    prepare: Step | None = None,
+) -> tuple[Times, dict[str, Times]]:
+    """Time `ours` in every round, and before every `peer_every`-th of them each peer. `prepare` is not timed."""
+    of_peers: dict[str, list[float]] = {name: [] for name in peers}
+    n = -1
+
+    def before() -> tuple[tuple[int], dict[str, object]]:
+        nonlocal n
+        n += 1
+        if n % peer_every == 0:
+            for name, peer in peers.items():
+                started = time.perf_counter()
+                peer(n // peer_every)
+                of_peers[name].append(1e3 * (time.perf_counter() - started))
+        if prepare is not None:
+            prepare(n)
+        return (n,), {}
+
+    gc.collect()
+    benchmark.pedantic(ours, setup=before, rounds=rounds)
+    own = Times([1e3 * s for s in benchmark.stats.stats.data])
+    return own, {name: Times(taken) for name, taken in of_peers.items()}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table. must: largest allowed time [ms] or share of the peer's; bound: no program could be faster
+    than this [ms], as the memory alone takes so long."""
+
+    case: str
+    mode: str
+    ours: Times
+    peer: str = "–"
+    theirs: Times | None = None
+    must_ms: float | None = None
+    must_share: float | None = None
+    bound_ms: float | None = None
+
+    def cells(self) -> list[str]:
+        theirs = "–" if self.theirs is None else str(self.theirs)
+        share = None if self.theirs is None else self.ours.median / self.theirs.median
+        least = None if self.theirs is None else self.ours.least / self.theirs.least
+        ratio = "–" if share is None else f"{_share(share)} ({_share(least)})"
+        must, met = [], True
+        if self.must_ms is not None:
+            must.append(f"{self.must_ms:g} ms")
+            met &= self.ours.median <= self.must_ms
+        if self.must_share is not None and share is not None:
+            must.append(_share(self.must_share))
+            met &= share <= self.must_share
+        verdict = f"≤ {' and '.join(must)}: {'met' if met else 'NOT met'}" if must else "–"
+        bound = "–" if self.bound_ms is None else f"{self.bound_ms:.2g}"
+        return [self.case, self.mode, str(self.ours), self.peer, theirs, ratio, verdict, bound]
+
+
+def _share(value: float | None) -> str:
+    if value is None:
+        return "–"
+    return f"1/{1 / value:.3g}" if value < 1.0 else f"{value:.3g}"
+
+
+@dataclass
+class Table:
+    """What all races gave, and what else was measured."""
+
+    rows: list[Row] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def add(self, case: str, mode: str, ours: Times, theirs: Mapping[str, Times], **limits: Any) -> None:
+        """One row a peer; `must_share` may be a mapping from peer to share."""
+        shares = limits.pop("must_share", None)
+        for name, taken in theirs.items():
+            share = shares.get(name) if isinstance(shares, Mapping) else shares
+            self.rows.append(Row(case, mode, ours, name, taken, must_share=share, **limits))
+        if not theirs:
+            self.rows.append(Row(case, mode, ours, **limits))
+
+    def lines(self) -> list[str]:
+        """The table, set in columns."""
+        head = ["case", "mode", "ours ms: median (least)", "peer", "its ms", "ours ÷ peer", "must", "bound ms"]
+        return columns([head, *(row.cells() for row in self.rows)]) + self.notes
+
+
+def columns(cells: Sequence[Sequence[str]]) -> list[str]:
+    """Lines with all columns below each other; the first is the head."""
+    widths = [max(len(row[k]) for row in cells) for k in range(len(cells[0]))]
+    lines = [" | ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) for row in cells]
+    return [lines[0], "-+-".join("-" * width for width in widths), *lines[1:]]
+
+
+@cache
+def bytes_per_ms() -> float:
+    """What the machine copies from memory to memory, read and written bytes together."""
+    source = np.ones(1 << 25)
+    target = np.zeros_like(source)
+    taken = []
+    for _ in range(7):
+        started = time.perf_counter()
+        np.copyto(target, source)
+        taken.append(time.perf_counter() - started)
+    return float(2 * source.nbytes / (1e3 * min(taken)))
