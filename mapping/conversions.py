@@ -34,6 +34,12 @@ def depth_to_points(depth: Array, intrinsics: Camera) -> NDArray[np.float32]:
     return points[: images.lift_depth(depth_m, _camera_row(camera), points)].copy()
 
 
+def measured_pixels(depth: Array) -> NDArray[np.bool_]:
+    """Which pixels (H, W) of a depth image measured something: those that `depth_to_points` gives a point for."""
+    depth_m = as_depth_m(depth)
+    return np.asarray((depth_m > 0.0) & np.isfinite(depth_m))
+
+
 def points_to_depth(p_camera: ArrayLike, intrinsics: Camera) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Points (N, 3) [m, optical frame] → depth image (H, W) float32 [m], and which point each pixel shows.
 

@@ -16,7 +16,9 @@ from mapping.grid import BLOCK_VOXELS, ijk_to_centre, join_ijk
 from mapping.kernels import boxes, hashing, marching_cubes, occupancy, surface, tsdf, visibility
 from mapping.layer import Changed, MapLayer
 from mapping.occupancy import OccupancyMap
+from mapping.points import PointMap
 from mapping.semantics import SemanticMap
+from mapping.surfels import SurfelMap
 from mapping.tsdf import TsdfMap
 from tests.support.rooms import SMALL_CAMERA, TOUR, Room
 
@@ -54,6 +56,16 @@ def feed_source(layer: EsdfMap, n: int) -> Changed:
     return layer.update()
 
 
+def many_beams(layer: SurfelMap, n: int) -> Changed:
+    return layer.integrate(Room().scan(TOUR[n], 8000, seed=n), TOUR[n])
+
+
+def bright_beams(layer: PointMap, n: int) -> Changed:
+    points = Room().scan(TOUR[n], 400, seed=n)
+    color = np.random.default_rng(n).integers(0, 255, points.shape).astype(np.uint8)
+    return layer.integrate(points, TOUR[n], intensity=points[:, 0], color=color)
+
+
 def votes(layer: SemanticMap, n: int) -> Changed:
     points = TOUR[n] @ Room().scan(TOUR[n], 400, seed=n)
     return layer.integrate(points, np.where(points[:, 2] < 0.0, 3, 8))
@@ -88,6 +100,10 @@ CASES = [
         {"truncation_m": True},
         1e-4,
     ),
+    Case("points of beams", PointMap, bright_beams, value, {"max_points": 1.5, "max_range_m": -1.0}),
+    Case("points of coloured images", PointMap, colored_image, value, {"max_points": 257}),
+    Case("surfels of beams", SurfelMap, many_beams, value, {"min_points": 2, "max_range_m": 0.0}, 1e-4),
+    Case("surfels of images", SurfelMap, image, value, {"min_points": float("nan")}, 1e-4),
     Case("semantics", SemanticMap, votes, confidence, {"memory": -1.0}, 1e-5),
 ]
 
@@ -105,6 +121,8 @@ def fed(case: Case, order: tuple[int, ...]) -> MapLayer:
 
 
 def voxels(layer: MapLayer, blocks: np.ndarray) -> np.ndarray:
+    if layer.store.n_cells == 1:
+        return ijk_to_centre(blocks, layer.voxel_size_m)
     local = np.tile(np.arange(BLOCK_VOXELS), len(blocks))
     return ijk_to_centre(join_ijk(np.repeat(blocks, BLOCK_VOXELS, axis=0), local), layer.voxel_size_m)
 
@@ -135,7 +153,7 @@ def test_the_blocks_reported_are_the_blocks_changed(case):
         changed = {block for block, content in after.items() if content != before.get(block, empty)}
         assert {tuple(block) for block in reported.blocks.tolist()} == changed
         assert len(np.unique(reported.blocks, axis=0)) == len(reported)
-        assert reported.block_size_m == pytest.approx(0.8)
+        assert reported.block_size_m == pytest.approx(VOXEL_SIZE * layer.store.edge)
         before = after
 
 
