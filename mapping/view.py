@@ -57,9 +57,11 @@ class DepthView:
             raise InvalidObservation(
                 f"depth has shape {depth_m.shape}, but intrinsics say (height, width) = {(model.height, model.width)}"
             )
-        inverse = pose.inverse()
         intrinsics_row = (model.fx, model.fy, model.cx, model.cy, model.width, model.height)
-        self.camera: NDArray[np.float64] = np.array([*inverse.rotation.ravel(), *inverse.translation, *intrinsics_row])
+        to_camera = pose.rotation.T
+        self.camera: NDArray[np.float64] = np.concatenate(
+            [to_camera.ravel(), -to_camera @ pose.translation, intrinsics_row]
+        )
         """The camera as kernels take it, see `mapping.kernels.visibility`."""
         self.pose: NDArray[np.float64] = np.concatenate([pose.rotation.ravel(), pose.translation])
         """(12,) R_map_camera row by row, then t_map_camera."""
@@ -81,7 +83,7 @@ class DepthView:
                           in part by pixels that say nothing; for layers that look at surfaces only
         """
         roots, level = self._roots(block_size_m, back_m)
-        n = 4096
+        n = 1 << 14
         while True:
             blocks, kinds = np.empty((n, 3), np.int32), np.empty(n, np.uint8)
             count = visibility.list_blocks(
@@ -94,16 +96,10 @@ class DepthView:
 
     def _roots(self, block_size_m: float, back_m: float) -> tuple[NDArray[np.int64], int]:
         """The cells (r, 3) of 2^level blocks along an edge that the frustum's bounding box meets, and that level."""
+        roots = np.empty(((ROOTS_ALONG_AXIS + 2) ** 3, 3), np.int64)
         if self.farthest_m == 0.0:
-            return np.empty((0, 3), np.int64), 0
-        fx, fy, cx, cy, width, height = self.camera[12:]
-        z = self.farthest_m + back_m
-        x = z * (np.array([-0.5, width - 0.5]) - cx) / fx
-        y = z * (np.array([-0.5, height - 0.5]) - cy) / fy
-        corners = np.array([[0.0, 0.0, 0.0]] + [[a, b, z] for a in x for b in y])
-        corners_map = corners @ self.pose[:9].reshape(3, 3).T + self.pose[9:]
-        low, high = corners_map.min(axis=0), corners_map.max(axis=0)
-        level = max(0, int(np.ceil(np.log2((high - low).max() / (ROOTS_ALONG_AXIS * block_size_m)))))
-        edge_m = block_size_m * (1 << level)
-        axes = [np.arange(np.floor(a / edge_m), np.floor(b / edge_m) + 1) for a, b in zip(low, high, strict=True)]
-        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.int64), level
+            return roots[:0], 0
+        count, level = visibility.list_roots(
+            self.camera, self.pose, self.farthest_m + back_m, block_size_m, ROOTS_ALONG_AXIS, roots
+        )
+        return roots[:count], level

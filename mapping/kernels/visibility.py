@@ -136,72 +136,79 @@ def judge_pixels(
     level = 0
     while level + 1 < pyramid.shape[0] and (CELL << level) * 4 < size:
         level += 1
-    cell = CELL << level
+    shift = level + 3
     surface = reached = False
     beyond = True
-    for r in range(v0 // cell, v1 // cell + 1):
-        for c in range(u0 // cell, u1 // cell + 1):
+    for r in range(v0 >> shift, (v1 >> shift) + 1):
+        for c in range(u0 >> shift, (u1 >> shift) + 1):
             low, high = pyramid[level, r, c, 0], pyramid[level, r, c, 1]
             near, far = pyramid[level, r, c, 2], pyramid[level, r, c, 3]
             surface |= (far >= z_low) & (near <= z_high) & (far > 0.0)
             reached |= (high >= z_low) & (high > 0.0)
             beyond &= low > z_high
+        if surface and reached and not beyond:
+            break
     return surface, reached, beyond
 
 
 @njit(cache=True)
+def measure_cube(camera: Array, half: Float, extents: Array) -> None:
+    """How far a cube with half an edge [m], along the map's axes, extends from its centre, in place.
+
+    extents : (7,) [m] along x, y, z of the camera, and across the left, right, upper and lower side of the frustum
+    """
+    fx, fy, cx, cy, width, height = camera[12], camera[13], camera[14], camera[15], camera[16], camera[17]
+    for axis in range(3):
+        extents[axis] = half * (abs(camera[3 * axis]) + abs(camera[3 * axis + 1]) + abs(camera[3 * axis + 2]))
+    slopes = ((-0.5 - cx) / fx, (width - 0.5 - cx) / fx, (-0.5 - cy) / fy, (height - 0.5 - cy) / fy)
+    for side in range(4):
+        axis = 0 if side < 2 else 3
+        extents[3 + side] = half * (
+            abs(camera[axis] - slopes[side] * camera[6])
+            + abs(camera[axis + 1] - slopes[side] * camera[7])
+            + abs(camera[axis + 2] - slopes[side] * camera[8])
+        )
+
+
+@njit(cache=True, error_model="numpy")
 def classify_cell(
     pyramid: Array,
     camera: Array,
     x: Float,
     y: Float,
     z: Float,
-    half: Float,
+    extents: Array,
     front: Float,
     back: Float,
     gaps_are_free: bool,
 ) -> Int:
-    """What the image says of the cube with centre x, y, z [m, camera frame] and half an edge [m], along the map's axes.
+    """What the image says of the cube with centre x, y, z [m, camera frame] and the `extents` of `measure_cube`.
 
     front, back   : how far [m] before and behind a surface counts as near it
     gaps_are_free : whether FREE may also be what is covered in part by pixels that say nothing or by none, or what lies
                     behind some surface and far before another
     Returns 0 (not seen), MIXED or FREE; never wrongly 0 or FREE.
     """
-    hx = half * (abs(camera[0]) + abs(camera[1]) + abs(camera[2]))
-    hy = half * (abs(camera[3]) + abs(camera[4]) + abs(camera[5]))
-    hz = half * (abs(camera[6]) + abs(camera[7]) + abs(camera[8]))
-    z_low, z_high = z - hz, z + hz
+    z_low, z_high = z - extents[2], z + extents[2]
     if z_high <= 0.0:
         return 0
-    fx, fy, cx, cy = camera[12], camera[13], camera[14], camera[15]
-    width, height = camera[16], camera[17]
+    fx, fy, cx, cy, width, height = camera[12], camera[13], camera[14], camera[15], camera[16], camera[17]
     # Outside one of the four side planes of the frustum: n · p > 0 for the whole cube.
-    for side in range(4):
-        axis = 0 if side < 2 else 3
-        if side == 0:
-            slope, sign = (-0.5 - cx) / fx, 1.0
-        elif side == 1:
-            slope, sign = (width - 0.5 - cx) / fx, -1.0
-        elif side == 2:
-            slope, sign = (-0.5 - cy) / fy, 1.0
-        else:
-            slope, sign = (height - 0.5 - cy) / fy, -1.0
-        across = x if side < 2 else y
-        extent = half * (
-            abs(camera[axis] - slope * camera[6])
-            + abs(camera[axis + 1] - slope * camera[7])
-            + abs(camera[axis + 2] - slope * camera[8])
-        )
-        if sign * (across - slope * z) + extent < 0.0:
-            return 0
+    if (
+        x - (-0.5 - cx) / fx * z + extents[3] < 0.0
+        or (width - 0.5 - cx) / fx * z - x + extents[4] < 0.0
+        or y - (-0.5 - cy) / fy * z + extents[5] < 0.0
+        or (height - 0.5 - cy) / fy * z - y + extents[6] < 0.0
+    ):
+        return 0
     if z_low <= 1e-3:
         return MIXED
-    x_low, x_high, y_low, y_high = x - hx, x + hx, y - hy, y + hy
-    u_low = x_low / (z_low if x_low < 0.0 else z_high) * fx + cx
-    u_high = x_high / (z_high if x_high < 0.0 else z_low) * fx + cx
-    v_low = y_low / (z_low if y_low < 0.0 else z_high) * fy + cy
-    v_high = y_high / (z_high if y_high < 0.0 else z_low) * fy + cy
+    x_low, x_high, y_low, y_high = x - extents[0], x + extents[0], y - extents[1], y + extents[1]
+    per_low, per_high = 1.0 / z_low, 1.0 / z_high
+    u_low = x_low * (per_low if x_low < 0.0 else per_high) * fx + cx
+    u_high = x_high * (per_high if x_high < 0.0 else per_low) * fx + cx
+    v_low = y_low * (per_low if y_low < 0.0 else per_high) * fy + cy
+    v_high = y_high * (per_high if y_high < 0.0 else per_low) * fy + cy
     # A voxel takes the nearest pixel, hence the half; the hundredth is for rounding.
     u0, u1 = np.floor(u_low + 0.49), np.floor(u_high + 0.51)
     v0, v1 = np.floor(v_low + 0.49), np.floor(v_high + 0.51)
@@ -218,6 +225,39 @@ def classify_cell(
     if (not near_surface) if gaps_are_free else (inside and beyond):
         return FREE
     return MIXED
+
+
+@njit(cache=True)
+def list_roots(
+    camera: Array, pose: Array, z: Float, block_size: Float, along_axis: Int, roots: Array
+) -> tuple[Int, Int]:
+    """List the cells of 2^level blocks along an edge that the box about the frustum up to depth z [m] meets, in place.
+
+    pose       : (12,) R_map_camera row by row, then t_map_camera
+    along_axis : the level is the lowest at which the box's longest edge is no longer than so many cells
+    roots      : (r, 3) int64, r ≥ (along_axis + 2)³. Returns how many there are, and the level.
+    """
+    low, high = pose[9:].copy(), pose[9:].copy()
+    for corner in range(4):
+        x = z * ((camera[16] - 0.5 if corner & 1 else -0.5) - camera[14]) / camera[12]
+        y = z * ((camera[17] - 0.5 if corner & 2 else -0.5) - camera[15]) / camera[13]
+        for axis in range(3):
+            p = pose[3 * axis] * x + pose[3 * axis + 1] * y + pose[3 * axis + 2] * z + pose[9 + axis]
+            low[axis], high[axis] = min(low[axis], p), max(high[axis], p)
+    longest = max(high[0] - low[0], high[1] - low[1], high[2] - low[2])
+    level = 0
+    while along_axis * block_size * (1 << level) < longest:
+        level += 1
+    edge = block_size * (1 << level)
+    count = 0
+    for i in range(np.int64(np.floor(low[0] / edge)), np.int64(np.floor(high[0] / edge)) + 1):
+        for j in range(np.int64(np.floor(low[1] / edge)), np.int64(np.floor(high[1] / edge)) + 1):
+            for k in range(np.int64(np.floor(low[2] / edge)), np.int64(np.floor(high[2] / edge)) + 1):
+                roots[count, 0] = i
+                roots[count, 1] = j
+                roots[count, 2] = k
+                count += 1
+    return count, level
 
 
 @njit(cache=True)
@@ -241,6 +281,9 @@ def list_blocks(
     blocks (n, 3) int32, kinds (n,) uint8. Returns how many there are; beyond n they are counted and not written.
     """
     stack = np.empty((8 * root_level + 1, 4), np.int64)
+    extents = np.empty((root_level + 1, 7))
+    for level in range(root_level + 1):
+        measure_cube(camera, 0.5 * block_size * (1 << level), extents[level])
     count = 0
     for root in range(roots.shape[0]):
         stack[0, 0], stack[0, 1], stack[0, 2] = roots[root, 0], roots[root, 1], roots[root, 2]
@@ -254,7 +297,7 @@ def list_blocks(
             x = camera[0] * a + camera[1] * b + camera[2] * c + camera[9]
             y = camera[3] * a + camera[4] * b + camera[5] * c + camera[10]
             z = camera[6] * a + camera[7] * b + camera[8] * c + camera[11]
-            kind = classify_cell(pyramid, camera, x, y, z, 0.5 * edge, front, back, gaps_are_free)
+            kind = classify_cell(pyramid, camera, x, y, z, extents[level], front, back, gaps_are_free)
             if kind == 0 or (kind == FREE and not with_free):
                 continue
             if level > 0 and kind == MIXED:
