@@ -53,6 +53,14 @@ class SortedPoints:
             raise InvalidObservation(f"p_sensor, T_map_sensor: {lost} points lie too far from the origin for a voxel")
 
 
+def require_whole(name: str, value: float, least: int, most: int) -> int:
+    """`value` as int when it is a whole number of least … most, else `InvalidParameter` that says so."""
+    number = require(name, value, least - 0.5, most)
+    if not number.is_integer():
+        raise InvalidParameter(f"{name}: expected a whole number, got {value!r}")
+    return int(number)
+
+
 class PointMap(MapLayer):
     """A point cloud of bounded density: measured points, not their means, at most `max_points` a voxel (after the voxel
     maps of Dellenbach et al., CT-ICP, ICRA 2022, and Vizzo et al., KISS-ICP, RA-L 2023).
@@ -83,10 +91,7 @@ class PointMap(MapLayer):
         with_color: bool = False,
     ) -> None:
         size = require("voxel_size_m", voxel_size_m, 0.0, 100.0, "m")
-        most = require("max_points", max_points, 0.0, 256.0)
-        if not most.is_integer():
-            raise InvalidParameter(f"max_points: expected a whole number of points, got {max_points!r}")
-        self.max_points = int(most)
+        self.max_points = require_whole("max_points", max_points, 1, 256)
         self.max_range_m = require("max_range_m", max_range_m, 0.0, 10_000.0, "m")
         bits = next(b for b in range(5) if 4**b >= self.max_points)
         self.cell_size_m = size / (1 << bits)

@@ -15,7 +15,7 @@ from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import BlockStore, as_points
 from mapping.kernels import surfels as kernels
 from mapping.layer import Changed, MapLayer, require
-from mapping.points import SortedPoints
+from mapping.points import SortedPoints, require_whole
 from mapping.view import as_pose
 
 Array: TypeAlias = NDArray[Any]
@@ -72,7 +72,7 @@ class SurfelMap(MapLayer):
     def __init__(self, voxel_size_m: float = 0.1, max_range_m: float = 100.0, *, min_points: int = 5) -> None:
         size = require("voxel_size_m", voxel_size_m, 0.0, 100.0, "m")
         self.max_range_m = require("max_range_m", max_range_m, 0.0, 10_000.0, "m")
-        self.min_points = int(require("min_points", min_points, 2.0, 1e6))
+        self.min_points = require_whole("min_points", min_points, 3, 1_000_000)
         self.store = BlockStore({"moments": np.dtype((np.float32, (kernels.MOMENTS,)))}, size, edge=1)
 
     def parameters(self) -> dict[str, Any]:
