@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mapping.elevation import ElevationMap, ExtendedElevationMap, HeightMap
 from mapping.errors import InvalidParameter, MappingError
 from mapping.esdf import EsdfMap
 from mapping.geometry import SE3
 from mapping.grid import BLOCK_VOXELS, ijk_to_centre, join_ijk
 from mapping.kernels import boxes, hashing, marching_cubes, occupancy, surface, tsdf, visibility
 from mapping.layer import Changed, MapLayer
+from mapping.multilevel import MultiLevelMap
 from mapping.occupancy import OccupancyMap
 from mapping.points import PointMap
 from mapping.semantics import SemanticMap
@@ -71,6 +73,13 @@ def votes(layer: SemanticMap, n: int) -> Changed:
     return layer.integrate(points, np.where(points[:, 2] < 0.0, 3, 8))
 
 
+def sector(layer: Any, n: int) -> Changed:
+    """A third of the room, another one for scans 0, 3 and 6: only where scans overlap does their order matter."""
+    points = TOUR[n] @ Room().scan(TOUR[n], 400, seed=n)
+    turn = np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) % 1.0
+    return layer.integrate(points[(3.0 * turn).astype(int) == n // 3 % 3], SE3.identity())
+
+
 def value(layer: MapLayer, points: np.ndarray) -> np.ndarray:
     return layer.query(points)
 
@@ -105,6 +114,11 @@ CASES = [
     Case("surfels of beams", SurfelMap, many_beams, value, {"min_points": 2, "max_range_m": 0.0}, 1e-4),
     Case("surfels of images", SurfelMap, image, value, {"min_points": float("nan")}, 1e-4),
     Case("semantics", SemanticMap, votes, confidence, {"memory": -1.0}, 1e-5),
+    Case("height map", HeightMap, beams, value, {"max_range_m": 0.0, "above_sensor_m": float("nan")}, 1e-5),
+    Case("elevation map", ElevationMap, beams, value, {"range_sigma_m": -1.0, "least_sigma_m": 0.0}, 1e-5),
+    Case("elevation map of images", ElevationMap, image, value, {"tilt_sigma_rad": float("inf")}, 1e-3),
+    Case("extended elevation map", ExtendedElevationMap, beams, value, {"robot_height_m": 0.0}, 1e-5),
+    Case("multi-level map", MultiLevelMap, sector, value, {"gap_m": -1.0, "most_patches": 0}, 1e-5),
 ]
 
 
