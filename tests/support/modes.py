@@ -27,12 +27,15 @@ class Configuration:
     max_range_m: float
     discretize: bool = False
 
+    def __str__(self) -> str:
+        return f"{100 * self.voxel_size_m:.0f} cm {'discretised' if self.discretize else 'all beams'}"
+
     def ours(self) -> OccupancyMap:
         """An empty map."""
-        discretize = {"discretize": True} if self.discretize else {}
         return OccupancyMap(
-            self.voxel_size_m, self.max_range_m, hit=HIT, miss=MISS, lowest=LOWEST, highest=HIGHEST, **discretize
-        )
+            self.voxel_size_m, self.max_range_m, hit=HIT, miss=MISS, lowest=LOWEST, highest=HIGHEST,
+            discretize=self.discretize,
+        )  # fmt: skip
 
     def theirs(self) -> Any:
         """An empty octree; the test is skipped where there is no pyoctomap."""

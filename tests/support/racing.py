@@ -58,6 +58,8 @@ def race(
             prepare(n)
         return (n,), {}
 
+    if prepare is None:
+        ours(0)
     gc.collect()
     benchmark.pedantic(ours, setup=before, rounds=rounds)
     own = Times([1e3 * s for s in benchmark.stats.stats.data])

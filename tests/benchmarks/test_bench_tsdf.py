@@ -1,0 +1,82 @@
+"""Signed distances and meshes from images, beside Open3D's voxel block grid: whole calls, from the depth image to the
+updated map. Run with `make bench`.
+
+Both keep distances up to four voxels and believe depth up to 5 m.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from mapping.tsdf import TsdfMap
+from tests.support.building import CAMERA, CAMERA_RANGE_M, LOOP, N_IMAGES, DepthImage, rgbd_images
+from tests.support.racing import Table, bytes_per_ms, race
+
+OPEN3D = "Open3D VoxelBlockGrid"
+TRUNCATION_VOXELS = 4.0
+
+
+def new_map(voxel_size_m: float) -> TsdfMap:
+    return TsdfMap(voxel_size_m, TRUNCATION_VOXELS * voxel_size_m, CAMERA_RANGE_M)
+
+
+def fuse(layer: TsdfMap, image: DepthImage) -> Any:
+    return layer.integrate_image(image.depth, CAMERA, image.T_map_camera)
+
+
+class Grid:
+    """Open3D's map; blocks of 8³ voxels, distances and weights."""
+
+    def __init__(self, voxel_size_m: float) -> None:
+        o3d = pytest.importorskip("open3d")
+        core = o3d.core
+        self.tensor, self.image, self.float64 = core.Tensor, o3d.t.geometry.Image, core.float64
+        attributes = ("tsdf", "weight"), (core.float32, core.float32), ((1,), (1,))
+        self.grid = o3d.t.geometry.VoxelBlockGrid(*attributes, voxel_size_m, 8, 20_000, core.Device("CPU:0"))
+        matrix = np.array([[CAMERA.fx, 0.0, CAMERA.cx], [0.0, CAMERA.fy, CAMERA.cy], [0.0, 0.0, 1.0]])
+        self.intrinsic = core.Tensor(matrix, core.float64)
+
+    def fuse(self, image: DepthImage) -> None:
+        depth = self.image(self.tensor(image.depth))
+        scale = 1.0 if image.depth.dtype == np.float32 else 1000.0
+        extrinsic = self.tensor(image.T_map_camera.inverse().matrix, self.float64)
+        how = (self.intrinsic, extrinsic, scale, CAMERA_RANGE_M, TRUNCATION_VOXELS)
+        self.grid.integrate(self.grid.compute_unique_block_coordinates(depth, *how), depth, *how)
+
+    def mesh(self) -> Any:
+        return self.grid.extract_triangle_mesh(0.0)
+
+
+@pytest.mark.parametrize("voxel_size_m", [0.05, 0.02], ids=["5 cm", "2 cm"])
+def test_an_image(benchmark: BenchmarkFixture, table: Table, voxel_size_m: float) -> None:
+    images = rgbd_images(LOOP)
+    layer, grid = new_map(voxel_size_m), Grid(voxel_size_m)
+    touched = [len(fuse(layer, image)) for image in images]
+    for image in images:
+        grid.fuse(image)
+    ours, theirs = race(
+        benchmark,
+        lambda n: fuse(layer, images[n % LOOP]),
+        {OPEN3D: lambda n: grid.fuse(images[n % LOOP])},
+        rounds=4 * LOOP,
+    )
+    bound = (2 * 8 * 512 * np.mean(touched) + images[0].depth.nbytes) / bytes_per_ms()
+    case = f"TSDF 640 × 480, {100 * voxel_size_m:.0f} cm"
+    table.add(case, "projective", ours, theirs, must_share=1.0, bound_ms=float(bound))
+
+
+def test_whole_mesh(benchmark: BenchmarkFixture, table: Table) -> None:
+    layer, grid = new_map(0.05), Grid(0.05)
+    for image in rgbd_images(N_IMAGES):
+        fuse(layer, image)
+        grid.fuse(image)
+    ours, theirs = race(benchmark, lambda n: layer.mesh(), {OPEN3D: lambda n: grid.mesh()}, rounds=9)
+    bound = 8 * 512 * layer.store.n_blocks / bytes_per_ms()
+    table.add("mesh 5 cm, whole", "–", ours, theirs, must_share=1.0, bound_ms=bound)
+    table.notes.append(
+        f"mesh 5 cm: ours {len(layer.mesh().triangles)} triangles, Open3D {len(grid.mesh().triangle.indices)}"
+    )
