@@ -43,8 +43,8 @@ class RangeView:
         self.model = model
         self.max_range_m = float(max_range_m)
         self.lidar: NDArray[np.float64] = np.array([*inverse.rotation.ravel(), *inverse.translation, *model.seeing])
-        """The lidar as kernels take it, with `rings` and `row_at`, see `mapping.kernels.lidar`."""
-        self.rings, self.row_at = model.rings, model.row_at
+        """The lidar as kernels take it, with `row_of` and `off_row`, see `mapping.kernels.lidar`."""
+        self.row_of, self.off_row = model.row_of, model.off_row
         self.pose: NDArray[np.float64] = np.concatenate([pose.rotation.ravel(), pose.translation])
         """(12,) R_map_sensor row by row, then t_map_sensor."""
         self.reach: NDArray[np.float32] = np.empty_like(ranges_m)
@@ -92,8 +92,8 @@ class RangeView:
                 self._lows,
                 self._highs,
                 self.lidar,
-                self.rings,
-                self.row_at,
+                self.model.rings,
+                self.model.row_at,
                 roots,
                 level,
                 block_size_m,

@@ -13,7 +13,9 @@ from mapping.kernels import lidar
 
 __all__ = ["LidarModel"]
 
-_MOST_BINS = 1 << 16
+STEPS_PER_ROW = 32
+"""Kernels know elevations to this share of the narrowest row."""
+_MOST_STEPS = 1 << 17
 _WHOLE_TURN = 2.0 * np.pi
 
 
@@ -57,7 +59,7 @@ class LidarModel:
         self.span = float(span)
         self.widest_gap = float(widest_gap)
         self.elevations.setflags(write=False)
-        self.rings, self.row_at, self.seeing = self._tables()
+        self._see()
 
     @staticmethod
     def even(
@@ -76,35 +78,46 @@ class LidarModel:
             )
         return LidarModel(np.linspace(highest, lowest, rows), columns, first_azimuth=first_azimuth, span=span)
 
-    def _tables(self) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
-        """What kernels take: rings, row_at and the last six numbers of a lidar, see `mapping.kernels.lidar`."""
+    def _see(self) -> None:
+        """Prepare what kernels take, see `mapping.kernels.lidar`: rings, row_at, row_of, off_row and the last seven
+        numbers of a lidar."""
         e = self.elevations
         rows = len(e)
-        steps = -np.diff(e)
-        half = 0.5 * steps if rows > 1 else np.array([0.5 * self.span / self.columns])
+        gaps = -np.diff(e)
+        half = 0.5 * gaps if rows > 1 else np.array([0.5 * self.span / self.columns])
         above = np.minimum(np.concatenate([half[:1], half])[:rows], 0.5 * self.widest_gap)
         below = np.minimum(np.concatenate([half, half[-1:]])[-rows:], 0.5 * self.widest_gap)
         low = np.sin(np.maximum(e - below, -0.5 * np.pi))
         high = np.sin(np.minimum(e + above, 0.5 * np.pi))
-        high[1:] = np.where(steps < self.widest_gap, low[:-1], high[1:])  # neighbours meet, to the last digit
-        gaps = np.concatenate([[0.0], np.cumsum(high[1:] < low[:-1])])
-        rings = np.empty((rows + 1, 5))
-        rings[:rows] = np.stack([low, high, np.sin(e), np.cos(e), gaps], axis=1)
-        rings[rows] = (-2.0, -2.0, 0.0, 1.0, gaps[-1])
-        # So many bins that at most one row ends within each.
-        narrowest = np.abs(np.diff(low)).min() if rows > 1 else 2.0
-        bins = int(np.ceil((high[0] - low[-1]) / (0.9 * narrowest))) + 1
-        if bins > _MOST_BINS:
-            raise InvalidParameter(f"elevations: expected rings farther apart, got {steps.min():.3g} rad")
-        per_sine = 1.0 / (0.9 * narrowest)
-        starts = high[0] - (np.arange(bins) - 0.01) / per_sine  # a little above, for the rounding of who looks up
-        row_at = np.searchsorted(-low, -starts, side="left").clip(0, rows).astype(np.int32)
+        high[1:] = np.where(gaps <= self.widest_gap, low[:-1], high[1:])  # neighbours meet, to the last digit
+        gaps_above = np.concatenate([[0.0], np.cumsum(high[1:] < low[:-1])])
+        rings = np.empty((rows + 1, 3))
+        rings[:rows] = np.stack([low, high, gaps_above], axis=1)
+        rings[rows] = (-2.0, -2.0, gaps_above[-1])
+        per_sine = STEPS_PER_ROW / (high - low).min()
+        steps = int(np.ceil((high[0] - low[-1]) * per_sine)) + 3  # the first and the last are outside
+        top = high[0] + 1.0 / per_sine
+        if steps > _MOST_STEPS:
+            raise InvalidParameter(f"elevations: expected rings farther apart, got {gaps.min():.3g} rad")
+        upper = top - (np.arange(steps) - 0.01) / per_sine  # a little above, for the rounding of who looks up
+        middle = top - (np.arange(steps) + 0.5) / per_sine
+        row = np.searchsorted(-low, -middle, side="left")
+        outside = (row == rows) | (middle > rings[row, 1])
+        off = np.arcsin(middle.clip(-1.0, 1.0)) - e[row.clip(0, rows - 1)]
         per_radian = self.columns / self.span
         turn = _WHOLE_TURN * per_radian
         if abs(turn - self.columns) < 1e-6:
             turn = float(self.columns)
-        seeing = np.array([(self.first_azimuth * per_radian) % turn, per_radian, self.columns, turn, high[0], per_sine])
-        return read_only(rings), read_only(row_at), read_only(seeing)
+        offset = (self.first_azimuth * per_radian) % turn
+        self.rings: NDArray[np.float64] = read_only(rings)
+        self.row_at: NDArray[np.int32] = read_only(np.searchsorted(-low, -upper, side="left").astype(np.int32))
+        self.row_of: NDArray[np.int32] = read_only(
+            np.where(outside, lidar.NO_PIXEL, row * self.columns).astype(np.int32)
+        )
+        self.off_row: NDArray[np.float32] = read_only(off.astype(np.float32))
+        self.seeing: NDArray[np.float64] = read_only(
+            np.array([offset, per_radian, self.columns, turn, top, per_sine, steps])
+        )
 
     @property
     def shape(self) -> tuple[int, int]:

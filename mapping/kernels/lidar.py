@@ -5,13 +5,15 @@ integrators of wavemap (Reijgwart et al., Efficient volumetric mapping of multi-
 compression, RSS 2023) and supereight2 (Funk et al., Multi-Resolution 3D Mapping With Explicit Free Space
 Representation, RA-L 2021).
 
-A *lidar* is a (18,) float64 array: R_sensor_map row by row, t_sensor_map, then how it sees: the column at azimuth 0,
-columns per radian, columns, columns that would fill a turn, the sine of the highest elevation seen, entries of `row_at`
-per sine. *rings* (rows + 1, 5) float64 holds for each row, from the top: the sines of the lowest and highest elevation
-it answers for, sine and cosine of its beams, and how many gaps that no row answers for lie above it; a last row ends
-the search. *row_at* (bins,) int32 is the first row at or below each step of the sine. A *reach* image (rows, columns)
-float32 holds the range [m] up to which each beam saw free space; negative where it ended at the range limit and not at
-a surface; 0 where it says nothing.
+A *lidar* is a (19,) float64 array: R_sensor_map row by row, t_sensor_map, then how it sees: the column at azimuth 0,
+columns per radian, columns, columns that would fill a turn, the sine at which the steps begin, steps per sine and how
+many steps there are, the first and the last of them seen by none. Tables over the steps of the sine, from the top: *row_of* (steps,) int32, the row that
+answers for it times columns, or NO_PIXEL; *off_row* (steps,) float32, the angle from that row's beams [rad]; *row_at*
+(steps,) int32, the first row that reaches below the upper end of the step. *rings* (rows + 1, 3) float64 holds for each
+row, from the top, the sines of the lowest and highest elevation that it answers for, and how many gaps that no row
+answers for lie above it; a last row ends the search. A *reach* image (rows, columns) float32 holds the range [m] up to
+which each beam saw free space; negative where it ended at the range limit and not at a surface; 0 where it says
+nothing.
 """
 
 from __future__ import annotations
@@ -36,9 +38,9 @@ _ATAN = (0.9998660, -0.3302995, 0.1801410, -0.0851330, 0.0208351, 0.5 * np.pi, n
 ATAN_64 = tuple(np.float64(c) for c in _ATAN)
 ATAN_32 = tuple(np.float32(c) for c in _ATAN)
 """Constants of `angle_of` in either precision."""
+NO_PIXEL = -(1 << 30)
+"""In place of the column or of the row that nothing looks along; below 0 whatever is added."""
 _MISS = 1
-_MARGIN = 4e-6
-"""More than the rounding of a sine in float32."""
 
 
 # -- angles ----------------------------------------------------------------------------------------------------
@@ -68,30 +70,23 @@ def row_below(sine: Float, lidar: Array, rings: Array, row_at: Array) -> Int:
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
-def project_block(
-    bi: Int,
-    bj: Int,
-    bk: Int,
-    voxel_size: Float,
-    lidar: Array,
-    rings: Array,
-    row_at: Array,
-    pixels: Array,
-    r: Array,
-    aside: Array,
+def aim_block(
+    bi: Int, bj: Int, bk: Int, voxel_size: Float, lidar: Array, columns: Array, steps: Array, r: Array, aside: Array
 ) -> None:
-    """Project the 512 voxel centres of block (bi, bj, bk).
+    """Where the 512 voxel centres of block (bi, bj, bk) lie.
 
-    pixels : (512,) int32, filled: row · columns + column of the nearest beam, −1 where none answers
-    r      : (512,) float32, filled: range [m]
-    aside  : (512,) float32, filled: distance from the voxel's centre to the beam [m]; undefined where no beam answers
+    columns : (512,) int32, filled: column of the nearest beam, NO_PIXEL outside the span
+    steps   : (512,) int32, filled: step of the elevation's sine, within the tables
+    r       : (512,) float32, filled: range [m]
+    aside   : (512,) float32, filled: squared distance to the middle of the column [m²]
     """
     half = np.float32(0.5)
+    nothing = np.float32(0.0)
     v = np.float32(voxel_size)
     offset, per_radian, turn = np.float32(lidar[12]), np.float32(lidar[13]), np.float32(lidar[15])
-    n_columns = np.int32(lidar[14])
-    seen = lidar[14] - 0.5 if lidar[14] < lidar[15] - 1e-6 else np.inf
-    seen_end, turn_end = np.float32(seen), np.float32(lidar[15] - 0.5)
+    last_column, turn_end = np.float32(lidar[14] - 1.0), np.float32(lidar[15] - 0.5)
+    span_end = np.float32(lidar[14] - 0.5 if lidar[14] < lidar[15] else np.inf)
+    top, per_sine, last_step = np.float32(lidar[16]), np.float32(lidar[17]), np.float32(lidar[18] - 1.0)
     column_angle = np.float32(1.0 / lidar[13])
     r0, r1, r2 = np.float32(lidar[0]) * v, np.float32(lidar[1]) * v, np.float32(lidar[2]) * v
     r3, r4, r5 = np.float32(lidar[3]) * v, np.float32(lidar[4]) * v, np.float32(lidar[5]) * v
@@ -100,9 +95,8 @@ def project_block(
     x0 = np.float32(lidar[0] * a + lidar[1] * b + lidar[2] * c + lidar[9])
     y0 = np.float32(lidar[3] * a + lidar[4] * b + lidar[5] * c + lidar[10])
     z0 = np.float32(lidar[6] * a + lidar[7] * b + lidar[8] * c + lidar[11])
-    height = np.empty(512, np.float32)
     for w in range(512):  # no branches, so that it runs on vectors
-        i, j, k = np.float32(w >> 6), np.float32((w >> 3) & 7), np.float32(w & 7)
+        i, j, k = np.float32((w >> 6) & 7), np.float32((w >> 3) & 7), np.float32(w & 7)
         x = x0 + i * r0 + j * r1 + k * r2
         y = y0 + i * r3 + j * r4 + k * r5
         z = z0 + i * r6 + j * r7 + k * r8
@@ -110,24 +104,42 @@ def project_block(
         column = offset - angle_of(x, y, ATAN_32) * per_radian
         column = column + turn if column < -half else column
         column = column - turn if column >= turn_end else column
-        nearest = np.int32(column + half)
+        nearest = np.int32(min(column + half, last_column))
         off = (column - np.float32(nearest)) * column_angle
+        distance = np.sqrt(flat_squared + z * z)
+        sine = z / max(distance, np.float32(1e-9))
+        columns[w] = nearest if column < span_end else np.int32(NO_PIXEL)
+        steps[w] = np.int32(min(max((top - sine) * per_sine, nothing), last_step))
+        r[w] = distance
         aside[w] = off * off * flat_squared
-        r[w] = np.sqrt(flat_squared + z * z)
-        height[w] = z
-        pixels[w] = min(nearest, n_columns - np.int32(1)) if column < seen_end else np.int32(-1)
-    rows = rings.shape[0] - 1
+
+
+@njit(cache=True, error_model="numpy")
+def project_block(
+    bi: Int,
+    bj: Int,
+    bk: Int,
+    voxel_size: Float,
+    lidar: Array,
+    row_of: Array,
+    off_row: Array,
+    pixels: Array,
+    r: Array,
+    aside: Array,
+) -> None:
+    """Project the 512 voxel centres of block (bi, bj, bk).
+
+    pixels : (512,) int32, filled: row · columns + column of the nearest beam, below 0 where none answers
+    r      : (512,) float32, filled: range [m]
+    aside  : (512,) float32, filled: squared distance from the voxel's centre to the beam [m²], where one answers
+    """
+    steps = np.empty(512, np.int32)
+    aim_block(bi, bj, bk, voxel_size, lidar, pixels, steps, r, aside)
     for w in range(512):
-        if pixels[w] < 0:
-            continue
-        sine = np.float64(height[w] / max(r[w], np.float32(1e-9)))
-        row = row_below(sine, lidar, rings, row_at)
-        if row >= rows or sine > rings[row, 1]:
-            pixels[w] = -1
-            continue
-        pixels[w] += np.int32(row) * n_columns
-        up = np.float32((sine - rings[row, 2]) / rings[row, 3]) * r[w]
-        aside[w] = np.sqrt(aside[w] + up * up)
+        step = np.uint32(steps[w])
+        up = off_row[step] * r[w]
+        pixels[w] += row_of[step]
+        aside[w] += up * up
 
 
 # -- the range image -------------------------------------------------------------------------------------------
@@ -265,24 +277,25 @@ def classify_cell(
     tall = half * (abs(lidar[6]) + abs(lidar[7]) + abs(lidar[8]))
     flat_low = max(flat - deep, 0.0)
     flat_high = np.sqrt((flat + deep) ** 2 + wide * wide)
-    # Elevations.
+    # Elevations; a voxel takes the row of its step.
+    margin = 1.0 / lidar[17] + 4e-6
     z_low, z_high = z - tall, z + tall
     flat_of_low = flat_high if z_low > 0.0 else flat_low
     flat_of_high = flat_low if z_high > 0.0 else flat_high
-    sine_low = z_low / max(np.sqrt(z_low * z_low + flat_of_low * flat_of_low), 1e-12) - _MARGIN
-    sine_high = z_high / max(np.sqrt(z_high * z_high + flat_of_high * flat_of_high), 1e-12) + _MARGIN
+    sine_low = z_low / max(np.sqrt(z_low * z_low + flat_of_low * flat_of_low), 1e-12) - margin
+    sine_high = z_high / max(np.sqrt(z_high * z_high + flat_of_high * flat_of_high), 1e-12) + margin
     rows = rings.shape[0] - 1
     row0, row1 = row_below(sine_high, lidar, rings, row_at), row_below(sine_low, lidar, rings, row_at)
     if row1 >= rows or sine_low > rings[row1, 1]:
         row1 -= 1
         inside = False
     else:
-        inside = rings[row0, 4] == rings[row1, 4]
+        inside = rings[row0, 2] == rings[row1, 2]
     if row0 > row1:
         return 0
     inside = inside and sine_high <= rings[row0, 1]
     columns, turn = np.int64(lidar[14]), lidar[15]
-    whole_turn = lidar[14] >= turn - 1e-6
+    whole_turn = lidar[14] >= turn
     column0, n_columns = np.int64(0), columns
     if flat_low > 0.0:
         spread = (angle_of(flat_low, wide, ATAN_64) + 2.0 * ATAN_ERROR) * lidar[13] + 0.01
@@ -381,8 +394,8 @@ def mark_free(
     reach: Array,
     clear: Array,
     lidar: Array,
-    rings: Array,
-    row_at: Array,
+    row_of: Array,
+    off_row: Array,
     marks: Array,
 ) -> None:
     """Mark each voxel of `blocks` (n, 3) that the range image sees free; fills marks (n, 512) uint8.
@@ -394,16 +407,19 @@ def mark_free(
     """
     seen, nearby = reach.ravel(), clear.ravel()
     margin = np.float32(0.87 * voxel_size)  # half a voxel's diagonal
-    touch = np.float32(0.5 * voxel_size)
+    touch = np.float32(0.25 * voxel_size * voxel_size)
     for n in prange(blocks.shape[0]):
-        pixels = np.empty(512, np.int32)
-        r = np.empty(512, np.float32)
-        aside = np.empty(512, np.float32)
-        project_block(blocks[n, 0], blocks[n, 1], blocks[n, 2], voxel_size, lidar, rings, row_at, pixels, r, aside)
+        columns, steps = np.empty(512, np.int32), np.empty(512, np.int32)
+        r, aside = np.empty(512, np.float32), np.empty(512, np.float32)
+        aim_block(blocks[n, 0], blocks[n, 1], blocks[n, 2], voxel_size, lidar, columns, steps, r, aside)
         for w in range(512):
-            pixel = max(pixels[w], 0)
-            free = ((r[w] < abs(seen[pixel])) & (aside[w] < touch)) | (r[w] + margin < nearby[pixel])
-            marks[n, w] = np.uint8(_MISS) if (pixels[w] >= 0) & free else np.uint8(0)
+            step = np.uint32(steps[w])
+            up = off_row[step] * r[w]
+            pixel = columns[w] + row_of[step]
+            at = np.uint32(max(pixel, np.int32(0)))
+            passed = (r[w] < abs(seen[at])) & (aside[w] + up * up < touch)
+            free = (pixel >= 0) & (passed | (r[w] + margin < nearby[at]))
+            marks[n, w] = np.uint8(_MISS) if free else np.uint8(0)
 
 
 @njit(cache=True)
@@ -450,13 +466,13 @@ def list_hits(reach: Array, directions: Array, pose: Array, voxel_size: Float, v
 def find_beams(points: Array, seeing: Array, rings: Array, row_at: Array, pixels: Array, r: Array) -> None:
     """The beam nearest to each of `points` (n, 3) float64 [m, sensor frame].
 
-    seeing : (18,) float64 a lidar, of which the pose is not read
+    seeing : (19,) float64 a lidar, of which the pose is not read
     pixels : (n,) int64, filled: row · columns + column, −1 where no beam looks there
     r      : (n,) float64, filled: range [m]
     """
     offset, per_radian, columns, turn = seeing[12], seeing[13], seeing[14], seeing[15]
     n_columns = np.int64(columns)
-    whole_turn = columns >= turn - 1e-6
+    whole_turn = columns >= turn
     unsure = 2.0 * ATAN_ERROR * per_radian + 1e-6
     rows = rings.shape[0] - 1
     for n in range(points.shape[0]):
