@@ -173,6 +173,10 @@ class BlockStore:
         hashing.locate(self.table, points, 1.0 / self.voxel_size_m, slots, local)
         return slots, local
 
+    def changed_since(self, revision: int) -> NDArray[np.int32]:
+        """The blocks (n, 3) that changed after `revision`."""
+        return self.block_ijk[self.changed_at[: self._n_blocks] > revision]
+
     # -- growth -------------------------------------------------------------------------------------------
     def allocate(self, block_ijk: ArrayLike) -> NDArray[np.int64]:
         """The slot (K,) of each block (K, 3); blocks that are not there yet are added, filled. Repeats are fine."""
@@ -218,8 +222,9 @@ class BlockStore:
         """Copies of the arrays that make this store: `block_ijk` and each field."""
         return {"block_ijk": self.block_ijk.copy(), **{name: self.used(name).copy() for name in self.fields}}
 
-    def restore(self, state: Mapping[str, Array]) -> None:
-        """Take over what `state()` gave, into an empty store; raises `MappingError` where it does not fit."""
+    def restore(self, state: Mapping[str, Array], revision: int = 1) -> None:
+        """Take over what `state()` gave, into an empty store, as changed at `revision`; raises `MappingError` where it
+        does not fit."""
         if self._n_blocks:
             raise MappingError("a state can only be restored into an empty store")
         missing = [name for name in ("block_ijk", *self.fields) if name not in state]
@@ -239,3 +244,4 @@ class BlockStore:
             raise MappingError("the saved map names a block twice")
         for name in self.fields:
             self.used(name)[:] = state[name]
+        self.changed_at[: self._n_blocks] = revision

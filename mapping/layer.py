@@ -85,8 +85,7 @@ class MapLayer(ABC):
     # -- change -------------------------------------------------------------------------------------------
     def changed_since(self, revision: int) -> Changed:
         """The blocks that changed after `revision` (0: all that ever changed)."""
-        late = self.store.changed_at[: self.store.n_blocks] > revision
-        return Changed(self.block_ijk[late], self.block_size_m)
+        return Changed(self.store.changed_since(revision), self.block_size_m)
 
     def _note(self, slots: Array) -> Changed:
         """Count one update that changed the blocks in `slots` (K,), each named once."""
@@ -114,8 +113,8 @@ class MapLayer(ABC):
             raise MappingError(
                 f"the saved {cls.kind} map has parameters that this version does not know: {error}"
             ) from None
-        layer.store.restore(state)
-        layer._note(np.arange(layer.store.n_blocks))
+        layer.revision = 1
+        layer.store.restore(state, layer.revision)
         return layer
 
     def save(self, path: str | Path) -> None:

@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from math import log
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapping.errors import InvalidObservation, InvalidParameter
+from mapping import octree
+from mapping.cells import Cells, CellStore
+from mapping.errors import InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
-from mapping.grid import (
-    ADDRESSABLE_VOXELS,
-    BLOCK_VOXELS,
-    BlockStore,
-    as_points,
-    ijk_to_centre,
-    join_ijk,
-    new_table,
-    point_to_ijk,
-)
-from mapping.kernels import boxes, occupancy, visibility
+from mapping.grid import as_blocks, as_points, ijk_to_centre, join_ijk
+from mapping.kernels import cells, occupancy, visibility
+from mapping.kernels.cells import UNKNOWN as UNKNOWN_BYTE
 from mapping.layer import Changed, MapLayer, require
+from mapping.scanning import Marks, ScanBlocks, cast_rays
 from mapping.view import DepthView, as_pose
 
 if TYPE_CHECKING:
@@ -33,8 +29,7 @@ Array: TypeAlias = NDArray[Any]
 
 OCCUPIED, FREE, UNKNOWN = 1, 0, -1
 """Codes that `classify` and `box` give."""
-FINEST, COARSEST = 16, 8
-"""Levels of OctoMap's tree that `query` answers at."""
+FINEST = octree.FINEST
 
 
 def _log_odds(probability: float) -> float:
@@ -68,6 +63,7 @@ class OccupancyMap(MapLayer):
         miss: float = 0.4,
         lowest: float = 0.1192,
         highest: float = 0.971,
+        discretize: bool = False,
     ) -> None:
         require("voxel_size_m", voxel_size_m, 0.0, 100.0, "m")
         self.max_range_m = require("max_range_m", max_range_m, 0.0, 10_000.0, "m")
@@ -76,11 +72,21 @@ class OccupancyMap(MapLayer):
         for name, value in (("miss", miss), ("lowest", lowest)):
             require(name, value, 0.0, 0.4999)
         self.miss, self.lowest = float(miss), float(lowest)
+        self.discretize = bool(discretize)
         self.log_odds_step = self._choose_step()
-        self._hit, self._miss, self.lowest_evidence, self.highest_evidence = (
-            round(_log_odds(p) / self.log_odds_step) for p in (hit, miss, lowest, highest)
-        )
-        self.store = BlockStore({"evidence": np.int8}, voxel_size_m, fill={"evidence": occupancy.UNKNOWN})
+        self._steps = np.array([round(_log_odds(p) / self.log_odds_step) for p in (hit, miss, lowest, highest)])
+        self._steps.setflags(write=False)
+        self.store = CellStore(voxel_size_m)
+
+    @property
+    def lowest_evidence(self) -> int:
+        """The clamp of a voxel's byte from below."""
+        return int(self._steps[2])
+
+    @property
+    def highest_evidence(self) -> int:
+        """The clamp of a voxel's byte from above."""
+        return int(self._steps[3])
 
     def _choose_step(self) -> float:
         """The log-odds of one step, for which hit ÷ miss is as nearly as can be a ratio of whole numbers."""
@@ -110,31 +116,14 @@ class OccupancyMap(MapLayer):
             "miss": self.miss,
             "lowest": self.lowest,
             "highest": self.highest,
+            "discretize": self.discretize,
         }
 
     # -- updates ------------------------------------------------------------------------------------------
     def integrate(self, p_sensor: ArrayLike, T_map_sensor: SE3 | ArrayLike) -> Changed:
         """Fuse one scan by ray casting. `p_sensor` is (N, 3) [m] in the sensor frame; returns the blocks changed."""
-        pose = as_pose(T_map_sensor, "T_map_sensor")
-        ends = as_points(p_sensor, "p_sensor")
-        if not np.isfinite(ends).all():
-            raise InvalidObservation("p_sensor: expected finite points, got NaN or infinity")
-        lengths = np.linalg.norm(ends, axis=1)
-        whole = lengths <= self.max_range_m
-        ends = pose @ ends
-        voxels = point_to_ijk(ends[whole], self.voxel_size_m)
-        cut = (self.max_range_m / lengths[~whole])[:, None]
-        ends[~whole] = pose.translation + cut * (ends[~whole] - pose.translation)
-        scan = _ScanBlocks(np.empty((0, 3), np.int32), 1024)
-        beam = 0
-        while beam < len(ends):
-            beam, scan.n_blocks = occupancy.mark_beams(
-                pose.translation, ends, beam, self.voxel_size_m, scan.table, scan.blocks, scan.n_blocks, scan.marks
-            )
-            if beam < len(ends):
-                scan.grow()
-        scan.mark_hits(voxels)
-        return self._fold(scan.blocks[: scan.n_blocks], np.arange(scan.n_blocks), scan.marks)
+        points, pose = as_points(p_sensor, "p_sensor"), as_pose(T_map_sensor, "T_map_sensor")
+        return self._fold(cast_rays(points, pose, self.voxel_size_m, self.max_range_m, discretize=self.discretize))
 
     def integrate_image(
         self,
@@ -153,37 +142,79 @@ class OccupancyMap(MapLayer):
         """Fuse a depth image that has been prepared already."""
         blocks, kinds = view.blocks(self.block_size_m, front_m=self.voxel_size_m, back_m=0.0, with_free=True)
         mixed, free = blocks[kinds == visibility.MIXED], blocks[kinds == visibility.FREE]
-        scan = _ScanBlocks(mixed, len(mixed) + 256)
+        scan = ScanBlocks(mixed, len(mixed) + 256)
         occupancy.mark_free(mixed, self.voxel_size_m, view.reach, view.camera, scan.marks)
         voxels = np.empty((view.reach.size, 3), np.int32)
         n_hits = occupancy.list_hits(view.reach, view.camera, view.pose, self.voxel_size_m, voxels)
         scan.mark_hits(voxels[:n_hits])
-        marked = np.empty(scan.n_blocks, np.bool_)
-        occupancy.find_marked(scan.marks[: scan.n_blocks], marked)
-        rows = np.flatnonzero(marked)
-        return self._fold(
-            np.concatenate([scan.blocks[rows], free]), np.concatenate([rows, np.full(len(free), -1)]), scan.marks
-        )
+        return self._fold(scan.done(free))
 
-    def _fold(self, blocks: Array, rows: Array, marks: Array) -> Changed:
-        slots = self.store.allocate(blocks)
-        changed = np.empty(len(slots), np.bool_)
-        evidence = self.store.fields["evidence"]
-        occupancy.fold_marks(
-            evidence, slots, rows, marks, self._hit, self._miss, self.lowest_evidence, self.highest_evidence, changed
+    def _fold(self, scan: Marks) -> Changed:
+        """Update each marked voxel of a scan once."""
+        store, revision, n_blocks = self.store, self.revision + 1, len(scan.blocks)
+        kinds = np.empty(n_blocks, np.uint8)
+        occupancy.sort_marks(scan.marks, scan.which, kinds)
+        rows, changed, same = np.empty(n_blocks, np.int64), np.empty(n_blocks, np.bool_), np.zeros(n_blocks, np.bool_)
+        n = 0
+        while n < n_blocks:
+            n = occupancy.open_blocks(
+                *store.rows, store.payload, store.free_slots, store.counts, n, scan.blocks, kinds, self._steps,
+                revision, rows, changed,
+            )  # fmt: skip
+            if n < n_blocks:
+                store.make_room()
+        occupancy.fold_marks(store.payload, store.tree[1], rows, scan.which, scan.marks, self._steps, changed, same)
+        occupancy.settle_blocks(
+            *store.rows, store.payload, store.free_slots, store.counts, rows, changed, same, self._steps, revision
         )
-        return self._note(slots[changed])
+        self.revision = revision
+        return Changed(scan.blocks[changed], self.block_size_m)
+
+    def set_evidence(self, block_ijk: ArrayLike, evidence: NDArray[np.int8]) -> Changed:
+        """Replace all voxels (K, 512) int8 of blocks (K, 3), each named once; returns the blocks that changed.
+
+        Evidence counts steps of log-odds (`log_odds_step`), ≥ 0 occupied, −128 unknown; a voxel's place in its block is
+        x·64 + y·8 + z.
+        """
+        blocks = as_blocks(block_ijk)
+        self.revision += 1
+        changed = self.store.write(blocks, evidence, self.revision)
+        return Changed(blocks[changed], self.block_size_m)
+
+    def fill_cells(self, cell_ijk: ArrayLike, level: Array, evidence: Array) -> None:
+        """Add whole cubes of the same evidence (K,) where nothing is known yet.
+
+        level (K,): a cube has 2^level blocks along an edge, 0 … 7; cell_ijk (K, 3): its index in units of that edge.
+        Raises `MappingError` where something is known.
+        """
+        self.revision += 1
+        cell = Cells(as_blocks(cell_ijk), np.asarray(level, np.uint8), np.asarray(evidence, np.int8))
+        self.store.fill(cell, self.revision)
 
     # -- questions ----------------------------------------------------------------------------------------
-    def query(self, p_map: ArrayLike, *, depth: int = FINEST) -> NDArray[np.float64]:
+    def query(
+        self, p_map: ArrayLike, *, depth: int = FINEST, rule: Literal["max", "mean"] = "max"
+    ) -> NDArray[np.float64]:
         """The probability (N,) that the voxel at each point (N, 3) [m] is occupied; NaN where unknown.
 
-        depth : level of OctoMap's tree. 16 asks for voxels, 15 for cubes of 2³ voxels, … down to 8; a cube is as
-                occupied as its most occupied voxel, and unknown where all of it is.
+        depth : level of OctoMap's tree. 16 asks for voxels, 15 for cubes of 2³ voxels, … 0 for the whole; a cube is
+                unknown where all of it is
+        rule  : what a cube is: "max", as its most occupied voxel, so that nothing in it is missed, or "mean", the mean
+                probability of its known voxels (Hornung et al. 2013, §3.3)
         """
-        values = self._values(p_map) if depth == FINEST else self._coarse_values(p_map, depth)
-        with np.errstate(invalid="ignore"):
-            return 1.0 / (1.0 + np.exp(np.where(values == occupancy.UNKNOWN, np.nan, -self.log_odds_step * values)))
+        if depth == FINEST:
+            return np.asarray(self.probabilities[self._values(p_map).view(np.uint8)])
+        if rule not in ("max", "mean"):
+            raise InvalidParameter(f'rule: expected "max" or "mean", got {rule!r}')
+        highest, mean = octree.sum_up(self, as_points(p_map), depth)
+        return mean if rule == "mean" else np.asarray(self.probabilities[highest.view(np.uint8)])
+
+    @cached_property
+    def probabilities(self) -> NDArray[np.float64]:
+        """(256,) what each byte of evidence, taken as uint8, means: the probability, NaN for unknown."""
+        steps = np.arange(256, dtype=np.uint8).view(np.int8)
+        meant = 1.0 / (1.0 + np.exp(-self.log_odds_step * steps.astype(np.float64)))
+        return np.where(steps == UNKNOWN_BYTE, np.nan, meant)
 
     def classify(self, p_map: ArrayLike) -> NDArray[np.int8]:
         """What is at each point (N, 3) [m]: OCCUPIED 1, FREE 0 or UNKNOWN −1, int8 (N,)."""
@@ -205,26 +236,33 @@ class OccupancyMap(MapLayer):
         return _classes(self.evidence_in(first, (nx, ny, nz))), first
 
     def evidence_in(self, first: ArrayLike, shape: tuple[int, int, int]) -> NDArray[np.int8]:
-        """The evidence of the voxels from `first` (3,) on, dense, int8 of `shape`; `kernels.occupancy.UNKNOWN` −128."""
-        values = np.full(shape, occupancy.UNKNOWN, np.int8)
-        boxes.copy_box(values, self.store.table, self.store.fields["evidence"], np.asarray(first, np.int64))
+        """The evidence of the voxels from `first` (3,) on, dense, int8 of `shape`; −128 unknown, ≥ 0 occupied."""
+        values = np.empty(shape, np.int8)
+        cells.copy_box(values, *self.store.tree, np.asarray(first, np.int64))
         return values
 
     def evidence_of(self, block_ijk: ArrayLike) -> NDArray[np.int8]:
-        """The evidence (K, 512) int8 of the voxels of blocks (K, 3); UNKNOWN −128 also where there is no block."""
-        slots = self.store.find(block_ijk)
-        values = self.store.fields["evidence"][slots]
-        values[slots < 0] = occupancy.UNKNOWN
-        return values
+        """The evidence (K, 512) int8 of the voxels of blocks (K, 3); −128 also where nothing is known."""
+        return self.store.read(block_ijk)
 
     def occupied_centres(self) -> NDArray[np.float64]:
         """Centres (N, 3) [m] of the occupied voxels."""
-        return self._centres(self.store.used("evidence") >= 0)
+        return self._centres(occupied=True)
 
     def free_centres(self) -> NDArray[np.float64]:
         """Centres (N, 3) [m] of the voxels known to be free."""
-        values = self.store.used("evidence")
-        return self._centres((values < 0) & (values != occupancy.UNKNOWN))
+        return self._centres(occupied=False)
+
+    def changed_since(self, revision: int) -> Changed:
+        """The blocks that changed after `revision` (0: all that ever changed), those that are unknown again included.
+
+        Where several blocks are one cell, all of them are named as soon as one of them changed.
+        """
+        return super().changed_since(revision)
+
+    def leaves(self, depth: int = FINEST) -> octree.Leaves:
+        """The leaves of the octree, none finer than level `depth` (16: voxels): what is alike is one leaf."""
+        return octree.leaves(self, depth)
 
     def write(self, path: str | Path) -> None:
         """Write an OctoMap file, `.bt` or `.ot` as its name ends; see `mapping.octomap`."""
@@ -232,58 +270,24 @@ class OccupancyMap(MapLayer):
 
         write_octomap(self, path)
 
-    def _centres(self, which: Array) -> NDArray[np.float64]:
-        slots, local = np.nonzero(which)
-        return ijk_to_centre(join_ijk(self.block_ijk[slots], local), self.voxel_size_m)
-
-    def _coarse_values(self, p_map: ArrayLike, depth: int) -> NDArray[np.int8]:
-        if depth not in range(COARSEST, FINEST + 1):
-            raise InvalidParameter(f"depth: expected a level in {COARSEST} … {FINEST}, got {depth!r}")
-        points = as_points(p_map)
-        values = np.full(len(points), occupancy.UNKNOWN, np.int8)
-        inside = np.isfinite(points).all(axis=1) & (np.abs(points) < ADDRESSABLE_VOXELS * self.voxel_size_m).all(axis=1)
-        shift = FINEST - depth
-        cells, which = np.unique(point_to_ijk(points[inside], self.voxel_size_m) >> shift, axis=0, return_inverse=True)
-        highest = np.full(len(cells), occupancy.UNKNOWN, np.int8)
-        corners = cells.astype(np.int64) << shift
-        boxes.highest_in_cells(self.store.table, self.store.fields["evidence"], corners, 1 << shift, highest)
-        values[inside] = highest[which.ravel()]
-        return values
+    def _centres(self, *, occupied: bool) -> NDArray[np.float64]:
+        blocks, slots = self.store.dense_blocks()
+        values = self.store.payload[slots]
+        rows, local = np.nonzero(values >= 0 if occupied else (values < 0) & (values != UNKNOWN_BYTE))
+        voxels = join_ijk(blocks[rows], local)
+        uniform = self.store.uniform_cells()
+        which = (uniform.value >= 0) == occupied
+        wholes = octree.voxels_of(Cells(*(field[which] for field in uniform)))
+        return ijk_to_centre(np.concatenate([voxels, wholes]), self.voxel_size_m)
 
     def _values(self, p_map: ArrayLike) -> NDArray[np.int8]:
-        slots, local = self.store.locate(p_map)
-        values = np.full(len(slots), occupancy.UNKNOWN, np.int8)
-        found = slots >= 0
-        values[found] = self.store.fields["evidence"][slots[found], local[found]]
+        points = as_points(p_map)
+        values = np.empty(len(points), np.int8)
+        cells.look_up(*self.store.tree, points, 1.0 / self.voxel_size_m, values)
         return values
 
 
 def _classes(values: NDArray[np.int8]) -> NDArray[np.int8]:
     classes = (values >= 0).astype(np.int8)
-    classes[values == occupancy.UNKNOWN] = UNKNOWN
+    classes[values == UNKNOWN_BYTE] = UNKNOWN
     return classes
-
-
-class _ScanBlocks:
-    """The blocks that one scan touches, a byte for each of their voxels, and room for more."""
-
-    def __init__(self, blocks: Array, room: int) -> None:
-        self.n_blocks = len(blocks)
-        self.blocks: NDArray[np.int32] = np.empty((room, 3), np.int32)
-        self.blocks[: self.n_blocks] = blocks
-        self.marks: NDArray[np.uint8] = np.empty((room, BLOCK_VOXELS), np.uint8)
-        self.table = new_table(self.blocks, self.n_blocks, room)
-
-    def mark_hits(self, voxels: NDArray[np.int32]) -> None:
-        """Mark voxels (m, 3) as hit."""
-        while (n := occupancy.mark_hits(voxels, self.table, self.blocks, self.n_blocks, self.marks)) < 0:
-            self.grow()
-        self.n_blocks = n
-
-    def grow(self) -> None:
-        """Make room for twice as many blocks; those listed stay."""
-        n, room = self.n_blocks, 2 * len(self.blocks)
-        blocks, marks = self.blocks[:n], self.marks[:n]
-        self.blocks, self.marks = np.empty((room, 3), np.int32), np.empty((room, BLOCK_VOXELS), np.uint8)
-        self.blocks[:n], self.marks[:n] = blocks, marks
-        self.table = new_table(self.blocks, n, room)

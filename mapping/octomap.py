@@ -149,6 +149,4 @@ def _fill(layer: OccupancyMap, tree: OctoMapTree, path: str | Path) -> None:
 
 
 def _set(layer: OccupancyMap, blocks: Array, evidence: Array) -> None:
-    slots = layer.store.allocate(blocks)
-    layer.store.fields["evidence"][slots] = evidence
-    layer._note(slots)
+    layer.set_evidence(blocks, evidence)

@@ -14,6 +14,21 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from mapping.kernels.cells import (
+    MAX_LEVEL,
+    N_FREE_SLOTS,
+    N_ROWS,
+    N_SLOTS,
+    TOP,
+    UNKNOWN,
+    add_row,
+    find_cell,
+    merge_up,
+    split_down,
+    take_slot,
+    uniform,
+    value_of,
+)
 from mapping.kernels.hashing import BLOCK_LIMIT, find_or_insert, lookup
 from mapping.kernels.projection import project_block
 
@@ -22,8 +37,8 @@ Int: TypeAlias = Any
 Float: TypeAlias = Any
 
 MISS, HIT = 1, 2
-UNKNOWN = -128
-"""The byte of a voxel of which nothing is known."""
+SOME_MISS, ALL_MISS, WITH_HITS = 1, 2, 3
+"""What a scan says of a block: beams passed some of its voxels, or all; beams ended in it."""
 
 
 # -- images ----------------------------------------------------------------------------------------------------
@@ -116,117 +131,140 @@ def mark_hits(voxels: Array, table: Array, blocks: Array, n_blocks: Int, marks: 
     return n_blocks
 
 
-# -- beams -----------------------------------------------------------------------------------------------------
-
-
-@njit(cache=True, error_model="numpy")
-def mark_beams(
-    origin: Array,
-    ends: Array,
-    start: Int,
-    voxel_size: Float,
-    table: Array,
-    blocks: Array,
-    n_blocks: Int,
-    marks: Array,
-) -> tuple[Int, Int]:
-    """Walk each beam from `origin` (3,) to `ends` (m, 3) [m, map] and mark what it passes, in place.
-
-    The walk is that of OctoMap's `computeRayKeys` (Amanatides & Woo 1987): the voxel of the origin is passed, that of
-    the end is not. table, blocks and marks as in `mark_hits`; begins at beam `start`. Returns (the beam to go on with
-    when room ran out, or m; number of blocks).
-    """
-    per_voxel = 1.0 / voxel_size
-    o0 = np.int64(np.floor(origin[0] * per_voxel))
-    o1 = np.int64(np.floor(origin[1] * per_voxel))
-    o2 = np.int64(np.floor(origin[2] * per_voxel))
-    for n in range(start, ends.shape[0]):
-        steps = abs(np.int64(np.floor(ends[n, 0] * per_voxel)) - o0)
-        steps += abs(np.int64(np.floor(ends[n, 1] * per_voxel)) - o1)
-        steps += abs(np.int64(np.floor(ends[n, 2] * per_voxel)) - o2)
-        d0, d1, d2 = ends[n, 0] - origin[0], ends[n, 1] - origin[1], ends[n, 2] - origin[2]
-        s0, s1, s2 = np.int64(np.sign(d0)), np.int64(np.sign(d1)), np.int64(np.sign(d2))
-        # Share of the beam up to the next border across each axis, and between borders.
-        t0 = ((o0 + (s0 > 0)) * voxel_size - origin[0]) / d0 if s0 != 0 else np.inf
-        t1 = ((o1 + (s1 > 0)) * voxel_size - origin[1]) / d1 if s1 != 0 else np.inf
-        t2 = ((o2 + (s2 > 0)) * voxel_size - origin[2]) / d2 if s2 != 0 else np.inf
-        step0 = voxel_size / abs(d0) if s0 != 0 else np.inf
-        step1 = voxel_size / abs(d1) if s1 != 0 else np.inf
-        step2 = voxel_size / abs(d2) if s2 != 0 else np.inf
-        i, j, k = o0, o1, o2
-        last_i, last_j, last_k = ~o0, ~o1, ~o2  # in no block of this one's
-        row: Int = np.int64(0)
-        for _ in range(steps):
-            if ((i ^ last_i) | (j ^ last_j) | (k ^ last_k)) & ~7:
-                last_i, last_j, last_k = i, j, k
-                if n_blocks == blocks.shape[0]:
-                    row = lookup(table, i >> 3, j >> 3, k >> 3)
-                    if row < 0:
-                        return n, n_blocks
-                else:
-                    row = find_or_insert(table, i >> 3, j >> 3, k >> 3, n_blocks)
-                if row == n_blocks:
-                    blocks[row, 0] = i >> 3
-                    blocks[row, 1] = j >> 3
-                    blocks[row, 2] = k >> 3
-                    marks[row, :] = 0
-                    n_blocks += 1
-            marks[row, (i & 7) << 6 | (j & 7) << 3 | (k & 7)] = MISS
-            # The nearest border is crossed; without branches, which the processor could not foresee.
-            x_before_y = t0 < t1
-            x = x_before_y & (t0 < t2)
-            y = (not x_before_y) & (t1 < t2)
-            z = not (x | y)
-            i += s0 if x else 0
-            j += s1 if y else 0
-            k += s2 if z else 0
-            t0 = t0 + step0 if x else t0
-            t1 = t1 + step1 if y else t1
-            t2 = t2 + step2 if z else t2
-    return ends.shape[0], n_blocks
-
-
 # -- folding into the map --------------------------------------------------------------------------------------
 
 
 @njit(cache=True, parallel=True)
-def find_marked(marks: Array, marked: Array) -> None:
-    """Which rows of marks (n, 512) have any mark: fills marked (n,) bool."""
-    for n in prange(marks.shape[0]):
-        some = np.uint8(0)
+def sort_marks(marks: Array, which: Array, kinds: Array) -> None:
+    """What rows `which` (n,) of marks (m, 512) say of their blocks: fills kinds (n,) uint8 with 0, SOME_MISS, ALL_MISS
+    or WITH_HITS."""
+    for n in prange(which.shape[0]):
+        either = np.uint8(0)
+        both = np.uint8(255)
+        m = which[n]
         for w in range(512):
-            some |= marks[n, w]
-        marked[n] = some != 0
+            either |= marks[m, w]
+            both &= np.uint8(MISS) if marks[m, w] else np.uint8(0)
+        if either & np.uint8(HIT):
+            kinds[n] = WITH_HITS
+        elif either:
+            kinds[n] = ALL_MISS if both else SOME_MISS
+        else:
+            kinds[n] = 0
+
+
+@njit(cache=True, inline="always")
+def updated(old: Int, step: Int, lowest: Int, highest: Int) -> Int:
+    """The evidence after one more step, clamped to lowest … highest."""
+    return min(max((0 if old == UNKNOWN else old) + step, lowest), highest)
+
+
+@njit(cache=True)
+def open_blocks(
+    table: Array, ijk: Array, level: Array, slot: Array, changed_at: Array, free_rows: Array, payload: Array,
+    free_slots: Array, counts: Array, start: Int, blocks: Array, kinds: Array, steps: Array, revision: Int,
+    rows: Array, changed: Array,
+) -> Int:  # fmt: skip
+    """Make the blocks (n, 3) of a scan ready to be updated, in place, from number `start` on.
+
+    What a uniform block becomes is settled here when that is uniform again; else it gets voxels of its own. The tree
+    is that of `mapping.kernels.cells`; steps (4,) int64: hit, miss, lowest, highest.
+
+    rows    : (n,) int64, filled: the row of a block whose voxels are to be updated one by one, −1 where nothing is left
+    changed : (n,) bool, filled for the others
+    Returns the number to go on with when room ran out, or n.
+    """
+    miss, lowest, highest = steps[1], steps[2], steps[3]
+    for n in range(start, blocks.shape[0]):
+        rows[n] = -1
+        changed[n] = False
+        if kinds[n] == 0:
+            continue
+        if (
+            counts[N_ROWS] + 8 * (MAX_LEVEL + 1) > ijk.shape[0]
+            or counts[N_FREE_SLOTS] + payload.shape[0] - counts[N_SLOTS] == 0
+        ):
+            return n
+        bi, bj, bk = np.int64(blocks[n, 0]), np.int64(blocks[n, 1]), np.int64(blocks[n, 2])
+        row = find_cell(table, counts[TOP], bi, bj, bk)
+        if row >= 0 and slot[row] >= 0:
+            rows[n] = row
+            continue
+        old = np.int64(UNKNOWN) if row < 0 else np.int64(value_of(np.int64(slot[row])))
+        passed = updated(old, miss, lowest, highest)
+        if kinds[n] != WITH_HITS and passed == old:
+            continue
+        if row < 0:
+            row = add_row(
+                table, ijk, level, slot, changed_at, free_rows, counts, 0, bi, bj, bk, uniform(old), revision
+            )  # fmt: skip
+        elif level[row] > 0:
+            row = split_down(table, ijk, level, slot, changed_at, free_rows, counts, row, bi, bj, bk)
+        if kinds[n] == ALL_MISS:
+            slot[row] = uniform(passed)
+            changed_at[row] = revision
+            changed[n] = True
+            if passed == lowest:
+                merge_up(table, ijk, level, slot, changed_at, free_rows, counts, row)
+        else:
+            slot[row] = take_slot(payload, free_slots, counts, old)
+            rows[n] = row
+    return blocks.shape[0]
 
 
 @njit(cache=True, parallel=True)
 def fold_marks(
-    evidence: Array,
-    slots: Array,
-    rows: Array,
-    marks: Array,
-    hit: Int,
-    miss: Int,
-    lowest: Int,
-    highest: Int,
-    changed: Array,
+    payload: Array, slot: Array, rows: Array, which: Array, marks: Array, steps: Array, changed: Array, same: Array
 ) -> None:
-    """Update each marked voxel once: evidence += hit or miss, clamped to lowest … highest; in place.
+    """Update each marked voxel of open blocks once: evidence += hit or miss, clamped to lowest … highest; in place.
 
-    evidence : (capacity, 512) int8, UNKNOWN where nothing is known
-    slots    : (n,) the blocks to update; rows (n,) their row in marks (m, 512), −1: a beam passed the whole block
-    changed  : (n,) bool, filled: whether a voxel of the block changed
+    payload : (capacity, 512) int8, UNKNOWN where nothing is known; slot: the row of payload of each row of the tree
+    rows    : (n,) rows of the blocks of the scan, −1: not open; which (n,) their row in marks (m, 512), −1: a beam
+              passed the whole block
+    changed, same : (n,) bool, filled for open blocks: whether a voxel changed, whether all are the same now
     """
-    for n in prange(slots.shape[0]):
-        slot, row = slots[n], rows[n]
+    hit, miss, lowest, highest = np.int16(steps[0]), np.int16(steps[1]), np.int16(steps[2]), np.int16(steps[3])
+    for n in prange(rows.shape[0]):
+        if rows[n] < 0:
+            continue
+        at, m = slot[rows[n]], which[n]
         difference = np.int16(0)
+        spread = np.int16(0)
         for w in range(512):
-            mark = marks[row, w] if row >= 0 else np.uint8(MISS)
-            old = np.int16(evidence[slot, w])
+            mark = marks[m, w] if m >= 0 else np.uint8(MISS)
+            old = np.int16(payload[at, w])
             new = np.int16(0) if old == UNKNOWN else old
-            new = new + np.int16(hit if mark == HIT else miss)
-            new = np.int16(min(max(new, np.int16(lowest)), np.int16(highest)))
+            new = new + (hit if mark == HIT else miss)
+            new = min(max(new, lowest), highest)
             new = new if mark != 0 else old
             difference |= new ^ old
-            evidence[slot, w] = np.int8(new)
+            payload[at, w] = np.int8(new)
+        first = payload[at, 0]
+        for w in range(512):
+            spread |= np.int16(payload[at, w] ^ first)
         changed[n] = difference != 0
+        same[n] = spread == 0
+
+
+@njit(cache=True)
+def settle_blocks(
+    table: Array, ijk: Array, level: Array, slot: Array, changed_at: Array, free_rows: Array, payload: Array,
+    free_slots: Array, counts: Array, rows: Array, changed: Array, same: Array, steps: Array, revision: Int,
+) -> None:  # fmt: skip
+    """After the update of open blocks: note what changed, and keep once what is alike, in place.
+
+    Blocks merge with their siblings when they are sure of what they hold: others are about to change again.
+    """
+    for n in range(rows.shape[0]):
+        if rows[n] < 0:
+            continue
+        row = rows[n]
+        if changed[n]:
+            changed_at[row] = revision
+        if same[n]:
+            value = np.int64(payload[slot[row], 0])
+            free_slots[counts[N_FREE_SLOTS]] = slot[row]
+            counts[N_FREE_SLOTS] += 1
+            slot[row] = uniform(value)
+            if value == steps[2] or value == steps[3]:
+                merge_up(table, ijk, level, slot, changed_at, free_rows, counts, row)

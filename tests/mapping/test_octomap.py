@@ -16,8 +16,10 @@ from tests.support.rooms import TOUR, Room
 def map_of(voxels: np.ndarray, occupied: np.ndarray, voxel_size: float = 0.1) -> OccupancyMap:
     layer = OccupancyMap(voxel_size)
     block, local = split_ijk(voxels)
-    slots = layer.store.allocate(block)
-    layer.store.fields["evidence"][slots, local] = np.where(occupied, layer.highest_evidence, layer.lowest_evidence)
+    blocks, rows = np.unique(block, axis=0, return_inverse=True)
+    evidence = layer.evidence_of(blocks)
+    evidence[rows.ravel(), local] = np.where(occupied, layer.highest_evidence, layer.lowest_evidence)
+    layer.set_evidence(blocks, evidence)
     return layer
 
 
