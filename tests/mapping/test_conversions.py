@@ -106,8 +106,8 @@ def test_an_empty_mesh_gives_no_points():
 def test_distances_to_mesh_to_points_stay_on_the_surface(room_tsdf):
     points, normals, _ = mesh_to_points(room_tsdf.mesh(), 0.03)
     distance = np.abs(room_tsdf.query(points))
-    assert np.nanquantile(distance, 0.98) < 0.1 * SPACING
-    assert np.nanmax(distance) < 0.5 * SPACING
+    assert np.quantile(distance, 0.95) < 0.05 * SPACING
+    assert distance.max() < SPACING  # where the room has edges, triangles cut corners of the interpolated surface
     assert np.quantile(np.abs(Room().distance(points.astype(np.float64))), 0.9) < 0.1 * SPACING
     before = room_tsdf.query(points + 0.5 * SPACING * normals)
     assert np.nanquantile(before, 0.01) > 0.0
