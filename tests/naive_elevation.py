@@ -172,5 +172,20 @@ def gradient(before: tuple[float, float], after: tuple[float, float]) -> float:
     return angle + 2.0 * pi if angle < -0.5 * pi else angle
 
 
-def distance_over_ground(p: np.ndarray) -> float:
-    return hypot(p[0], p[1])
+def label_of(angle: float, tau: float) -> int:
+    return 0 if angle < tau else 1 if angle <= pi - tau else 2
+
+
+def labels_of_sweep(sweep: list[tuple[float, float]], k: int, baseline: float, tau: float) -> list[int]:
+    """0 floor, 1 object, 2 ceiling, −1 unknown for points (distance over ground, height) from bottom to top."""
+    labels = []
+    for j, point in enumerate(sweep):
+        below = [p for p in sweep[: max(j - k + 1, 0)] if hypot(p[0] - point[0], p[1] - point[1]) >= baseline]
+        above = [p for p in sweep[j + k :] if hypot(p[0] - point[0], p[1] - point[1]) >= baseline]
+        if below:
+            labels.append(label_of(gradient(below[-1], point), tau))
+        elif above:
+            labels.append(label_of(gradient(point, above[0]), tau))
+        else:
+            labels.append(-1)
+    return labels
