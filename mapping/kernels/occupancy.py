@@ -137,11 +137,14 @@ def mark_hits(voxels: Array, table: Array, blocks: Array, n_blocks: Int, marks: 
 @njit(cache=True, parallel=True)
 def sort_marks(marks: Array, which: Array, kinds: Array) -> None:
     """What rows `which` (n,) of marks (m, 512) say of their blocks: fills kinds (n,) uint8 with 0, SOME_MISS, ALL_MISS
-    or WITH_HITS."""
+    or WITH_HITS. Row −1: a beam passed the whole block."""
     for n in prange(which.shape[0]):
         either = np.uint8(0)
         both = np.uint8(255)
         m = which[n]
+        if m < 0:
+            kinds[n] = ALL_MISS
+            continue
         for w in range(512):
             either |= marks[m, w]
             both &= np.uint8(MISS) if marks[m, w] else np.uint8(0)
