@@ -26,7 +26,7 @@ __all__ = ["OctoMapTree", "read_octomap", "write_octomap"]
 
 Array: TypeAlias = NDArray[Any]
 
-_MOST_BLOCKS = 1 << 21  # about 1 GB of voxels; a damaged file may claim the whole address space
+_MOST_BLOCKS = 1 << 25  # a damaged file may claim the whole address space
 _CHUNK = 8192  # blocks that are handed to the map at a time
 _PYOCTOMAP = b"\n#PYOC_"  # begins what pyoctomap appends to a `.bt` file: colours, times
 
@@ -129,24 +129,18 @@ def _fill(layer: OccupancyMap, tree: OctoMapTree, path: str | Path) -> None:
         raise MappingError(
             f"{path}: the tree is cut off or damaged: its nodes name other children than there are"
         ) from None
-    large = levels > 3
     n_blocks = int(np.sum(np.left_shift(np.int64(1), 3 * (levels.astype(np.int64) - 3))))
     if n_blocks > _MOST_BLOCKS:
         raise MappingError(
             f"{path}: its leaves cover {n_blocks * 512:.2g} voxels; expected at most {_MOST_BLOCKS * 512:.2g}"
         )
     evidence = evidence_of_tree(layer, tree)
-    blocks = corners >> 3
-    small = np.flatnonzero(~large)
-    for first in range(0, len(small), _CHUNK):
-        chunk = small[first : first + _CHUNK]
-        rows = np.full((len(chunk), BLOCK_VOXELS), UNKNOWN, np.int8)
-        octrees.fill_blocks(rows, tree.children, evidence, nodes[chunk])
-        _set(layer, blocks[chunk], rows)
-    for n in np.flatnonzero(large):
-        inside = np.indices((1 << levels[n] - 3,) * 3, np.int32).reshape(3, -1).T
-        _set(layer, blocks[n] + inside, np.full((len(inside), BLOCK_VOXELS), evidence[nodes[n]], np.int8))
-
-
-def _set(layer: OccupancyMap, blocks: Array, evidence: Array) -> None:
-    layer.set_evidence(blocks, evidence)
+    mixed = tree.children[nodes] > 0
+    blocks, roots = corners[mixed] >> 3, nodes[mixed]
+    for first in range(0, len(roots), _CHUNK):
+        chunk = slice(first, first + _CHUNK)
+        rows = np.full((len(roots[chunk]), BLOCK_VOXELS), UNKNOWN, np.int8)
+        octrees.fill_blocks(rows, tree.children, evidence, roots[chunk])
+        layer.set_evidence(blocks[chunk], rows)
+    level = levels[~mixed].astype(np.int64) - 3
+    layer.fill_cells(corners[~mixed] >> 3 + level[:, None], level, evidence[nodes[~mixed]])

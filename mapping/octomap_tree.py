@@ -102,14 +102,14 @@ def list_cells(children: Array, finest: int) -> tuple[Array, Array, Array]:
 
     Raises `ValueError` where there are not the nodes that `children` names.
     """
-    room = 0
+    room = len(children) // 16 + 64 if finest else int(np.count_nonzero(children == 0))
     while True:
         nodes, corners, levels = np.empty(room, np.int64), np.empty((room, 3), np.int32), np.empty(room, np.int8)
         count, read = octrees.list_cells(children, finest, nodes, corners, levels) if len(children) else (0, 0)
         if count < 0 or read != len(children):
             raise ValueError("not a tree")
         if count <= room:
-            return nodes, corners, levels
+            return nodes[:count], corners[:count], levels[:count]
         room = count
 
 

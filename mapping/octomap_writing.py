@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.errors import InvalidParameter
-from mapping.grid import BLOCK_VOXELS
 from mapping.kernels import octree_merge, octrees
 from mapping.octomap_tree import BINARY, FULL, HIGHEST, LOWEST, NODES, OctoMapTree, list_cells, morton_codes
 
@@ -22,7 +21,6 @@ Array: TypeAlias = NDArray[Any]
 ColorsOf: TypeAlias = Callable[[NDArray[np.float64]], NDArray[np.uint8]]
 
 _COMMENT = b"# (feel free to add / change comments, but leave the first line as it is!)\n#\n"
-_CHUNK = 8192  # blocks that are asked of the map at a time
 
 
 def write_octomap(occupancy: OccupancyMap, path: str | Path, *, colors: ColorsOf | None = None) -> None:
@@ -64,9 +62,9 @@ def evidence_of_tree(occupancy: OccupancyMap, tree: OctoMapTree) -> NDArray[np.i
     lowest, highest = occupancy.lowest_evidence, occupancy.highest_evidence
     if tree.content.dtype == np.bool_:
         return np.where(tree.content, np.int8(highest), np.int8(lowest))
-    steps = np.rint(tree.content * np.float32(1.0 / occupancy.log_odds_step))
-    steps = np.where(tree.content >= 0.0, np.maximum(steps, 0.0), np.minimum(steps, -1.0))
-    return np.clip(steps, lowest, highest).astype(np.int8)
+    evidence = np.empty(len(tree.content), np.int8)
+    octrees.nearest_evidence(evidence, tree.content, 1.0 / occupancy.log_odds_step, lowest, highest)
+    return evidence
 
 
 def _log_odds_of_evidence(occupancy: OccupancyMap, binary: bool) -> NDArray[np.float32]:
@@ -83,30 +81,23 @@ def _log_odds_of_evidence(occupancy: OccupancyMap, binary: bool) -> NDArray[np.f
     return log_odds
 
 
-def _cells(occupancy: OccupancyMap) -> tuple[Array, Array, Array, Array]:
-    """The map as cells that do not overlap, in Morton order: code, level, content; and the voxels of mixed blocks."""
-    blocks = occupancy.block_ijk
-    if len(blocks) and (blocks.min() < -octrees.ORIGIN // 8 or blocks.max() >= octrees.ORIGIN // 8):
+def _cells(occupancy: OccupancyMap) -> tuple[Array, Array, Array]:
+    """The map as cells that do not overlap, in Morton order: code, level, content."""
+    blocks, slots = occupancy.store.dense_blocks()
+    uniform = occupancy.store.uniform_cells()
+    corners = np.concatenate([blocks, uniform.ijk << uniform.level[:, None]]).astype(np.int64)
+    if len(corners) and (corners.min() < -octrees.ORIGIN // 8 or corners.max() >= octrees.ORIGIN // 8):
         raise InvalidParameter(f"the map reaches beyond ±{octrees.ORIGIN} voxels, which OctoMap files cannot hold")
-    codes = morton_codes(blocks.astype(np.int64) + octrees.ORIGIN // 8)
+    codes = morton_codes(corners + octrees.ORIGIN // 8)
+    levels = np.concatenate([np.full(len(blocks), 3, np.uint8), uniform.level + np.uint8(3)])
+    contents = np.concatenate([slots.astype(np.int64) + octree_merge.ROW, uniform.value.astype(np.int64)])
     order = np.argsort(codes)
-    contents = np.empty(len(blocks), np.int64)
-    mixed = [np.empty((0, BLOCK_VOXELS), np.int8)]
-    n_mixed = 0
-    for first in range(0, len(blocks), _CHUNK):
-        evidence = occupancy.evidence_of(blocks[order[first : first + _CHUNK]])
-        rows = np.flatnonzero((evidence != evidence[:, :1]).any(axis=1))
-        chunk = contents[first : first + _CHUNK]
-        chunk[:] = evidence[:, 0]
-        chunk[rows] = octree_merge.ROW + n_mixed + np.arange(len(rows))
-        mixed.append(evidence[rows])
-        n_mixed += len(rows)
-    return codes[order], np.full(len(blocks), 3, np.int8), contents, np.concatenate(mixed)
+    return codes[order], levels[order], contents[order]
 
 
 def _merge(occupancy: OccupancyMap, origin: OctoMapTree | None, binary: bool) -> tuple[Array, Array, Array | None]:
     """The nodes of the map's tree: children, log-odds, and colours where `origin` has them."""
-    codes, levels, contents, evidence = _cells(occupancy)
+    codes, levels, contents = _cells(occupancy)
     values_of = _log_odds_of_evidence(occupancy, binary)
     if origin is None:
         of_file: tuple[Array, ...] = (np.empty(0, np.uint8), np.empty(0, np.int8), np.empty(0, np.float32))
@@ -117,12 +108,13 @@ def _merge(occupancy: OccupancyMap, origin: OctoMapTree | None, binary: bool) ->
     frames = np.empty((octrees.DEPTH + 2, octree_merge.FRAME), np.int64)
     limits = np.zeros((octrees.DEPTH + 2, 2), np.float32)
     cursor = np.array([octrees.DEPTH, 1, 0])
-    octree_merge.open_root(frames, contents[0] if list(levels) == [octrees.DEPTH] else octree_merge.SEVERAL, of_file[0])
+    octree_merge.open_root(frames, of_file[0])
     room = len(of_file[0]) + 64 * len(codes) + 64
     children, values = np.empty(room, np.uint8), np.empty(room, np.float32)
     colors = white if file_colors is None else np.empty((room, 3), np.uint8)
     while not octree_merge.merge(
-        children, values, colors, cursor, frames, limits, codes, levels, contents, evidence, values_of,
+        children, values, colors, cursor, frames, limits, codes, levels, contents, occupancy.store.payload,
+        values_of,
         *of_file, white if file_colors is None else file_colors,
     ):  # fmt: skip
         children, values = (np.concatenate([array, np.empty_like(array)]) for array in (children, values))

@@ -38,10 +38,10 @@ FRAME = 15
 
 
 @njit(cache=True)
-def open_root(frames: Array, content: Int, file_children: Array) -> None:
-    """Set up `frames` (DEPTH + 2, FRAME) int64 for `merge`, in place; `content` is that of the whole space."""
+def open_root(frames: Array, file_children: Array) -> None:
+    """Set up `frames` (DEPTH + 2, FRAME) int64 for `merge`, in place."""
     frames[:] = 0
-    _open(frames[DEPTH], 0, 0, content, -1, -1)
+    _open(frames[DEPTH], 0, 0, SEVERAL, -1, -1)
     if file_children.shape[0]:
         if file_children[0]:
             frames[DEPTH, _INNER], frames[DEPTH, _NEXT] = 0, 1
@@ -86,7 +86,7 @@ def merge(
     cursor           : (3,) int64: level, nodes written, cells read; begins as DEPTH, 1, 0
     frames, limits   : what is kept between the calls: (DEPTH + 2, FRAME) int64 of `open_root`, (DEPTH + 2, 2) float32
     codes, levels    : (c,) cells of the map that do not overlap: Morton code in blocks of 8³, ascending, and level ≥ 3
-    contents         : (c,) int64, the cell's evidence, or ROW + r: its voxels have `evidence` (r, 512) int8
+    contents         : (c,) int64, the cell's evidence, or ROW + r: its voxels have `evidence` (…, 512) int8 of row r
     value_of         : (256,) float32, log-odds of evidence −128 …
     file_…           : the nodes of the file, and the evidence (n,) int8 that the map got from each; (0,) for none
 

@@ -164,6 +164,18 @@ def list_cells(children: Array, finest: Int, nodes: Array, corners: Array, level
 
 
 @njit(cache=True)
+def nearest_evidence(evidence: Array, log_odds: Array, per_step: float, lowest: Int, highest: Int) -> None:
+    """Round log-odds (n,) float32 to steps, `per_step` of them to 1, of the same sign and clamped, in place.
+
+    evidence : (n,) int8; what is not negative stays so, as 0 is occupied
+    """
+    for n in range(log_odds.shape[0]):
+        steps = np.rint(log_odds[n] * per_step)
+        steps = max(steps, 0.0) if log_odds[n] >= 0.0 else min(steps, -1.0)
+        evidence[n] = np.int8(min(max(steps, float(lowest)), float(highest)))
+
+
+@njit(cache=True)
 def fill_blocks(rows: Array, children: Array, evidence: Array, nodes: Array) -> None:
     """Write the leaves below each of `nodes` (k,), which are at level 3, into `rows` (k, 512) int8, in place.
 
