@@ -147,3 +147,11 @@ def require(name: str, value: float, low: float, high: float, unit: str = "") ->
             f"{name}: expected a number in ({low:g}, {high:g}]{' ' * bool(unit)}{unit}, got {value!r}"
         )
     return number
+
+
+def require_whole(name: str, value: float, least: int, most: int) -> int:
+    """`value` as int when it is a whole number of least … most, else `InvalidParameter` that says so."""
+    number = require(name, value, least - 0.5, most)
+    if not number.is_integer():
+        raise InvalidParameter(f"{name}: expected a whole number, got {value!r}")
+    return int(number)

@@ -14,7 +14,7 @@ from mapping.errors import InvalidObservation, InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import BlockStore, as_points, read_only
 from mapping.kernels import points as kernels
-from mapping.layer import Changed, MapLayer, require
+from mapping.layer import Changed, MapLayer, require, require_whole
 from mapping.view import as_pose
 
 Array: TypeAlias = NDArray[Any]
@@ -51,14 +51,6 @@ class SortedPoints:
         )
         if lost:
             raise InvalidObservation(f"p_sensor, T_map_sensor: {lost} points lie too far from the origin for a voxel")
-
-
-def require_whole(name: str, value: float, least: int, most: int) -> int:
-    """`value` as int when it is a whole number of least … most, else `InvalidParameter` that says so."""
-    number = require(name, value, least - 0.5, most)
-    if not number.is_integer():
-        raise InvalidParameter(f"{name}: expected a whole number, got {value!r}")
-    return int(number)
 
 
 class PointMap(MapLayer):

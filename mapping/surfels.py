@@ -14,8 +14,8 @@ from mapping.errors import InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import BlockStore, as_points
 from mapping.kernels import surfels as kernels
-from mapping.layer import Changed, MapLayer, require
-from mapping.points import SortedPoints, require_whole
+from mapping.layer import Changed, MapLayer, require, require_whole
+from mapping.points import SortedPoints
 from mapping.view import as_pose
 
 Array: TypeAlias = NDArray[Any]

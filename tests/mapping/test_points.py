@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from mapping.errors import InvalidObservation, InvalidParameter
 from mapping.geometry import SE3
+from mapping.kernels import points as kernels
 from mapping.kernels.points import EMPTY
 from mapping.points import PointMap
 from tests.naive_points import kept_places, points_of
@@ -221,3 +222,25 @@ def test_bad_scans_are_refused_by_name():
     assert len(layer.points) == 0
     assert layer.intensity is None
     assert layer.color is None
+
+
+def compiled() -> dict[str, int]:
+    """For each kernel, for how many types of input it is compiled."""
+    return {name: len(kernel.signatures) for name, kernel in vars(kernels).items() if hasattr(kernel, "signatures")}
+
+
+def test_kernels_are_compiled_once_whatever_arrays_a_caller_holds():
+    points = cloud(60, 0)
+    counts = []
+    for scan in (points, points.astype(np.float32)[::2], np.asfortranarray(points), points.tolist()):
+        plain, rich = PointMap(0.1), PointMap(0.1, 1)
+        for layer, extras in ((plain, {}), (rich, {"intensity": np.arange(len(scan)).tolist()}), (rich, {})):
+            layer.integrate(scan, HERE, **extras)
+            layer.query(scan)
+            layer.radius(scan, 0.1)
+            layer.merge(PointMap.from_state(layer.state()))
+            assert len(layer.points)
+        rich.integrate(scan, HERE, color=np.zeros((len(scan), 3), np.uint8)[:, ::-1])
+        counts.append(compiled())
+    assert all(count == counts[0] for count in counts)
+    assert max(counts[0].values()) <= 1
