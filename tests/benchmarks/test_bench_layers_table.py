@@ -233,9 +233,8 @@ def test_all_layers_on_one_recording(benchmark: BenchmarkFixture, table: Table, 
     cells = [["layer", "update ms: median (least)", "memory MB", "cells known", "bytes a cell", "1e6 look-ups ms"]]
 
     def measure_all() -> None:
-        for contestant in CONTESTANTS:
-            if of_images or not contestant.of_images:
-                cells.append(measure(contestant, everything, range_m, points))
+        taking_part = [c for c in CONTESTANTS if of_images or not c.of_images]
+        cells.extend(measure(contestant, everything, range_m, points) for contestant in taking_part)
 
     benchmark.pedantic(measure_all, rounds=1)
     table.notes += ["", f"all layers, {name} ({len(everything)}):", *columns(cells)]
