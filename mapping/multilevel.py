@@ -102,7 +102,7 @@ class MultiLevelMap(TileLayer):
             return np.zeros(len(points), np.int64)
         top, z = patches[..., 0], points[:, 2:]
         distance = np.maximum(np.maximum(z - top, top - patches[..., 2] - z), 0.0)
-        return np.where(np.isnan(distance), np.inf, distance).argmin(axis=1)
+        return np.asarray(np.where(np.isnan(distance), np.inf, distance).argmin(axis=1), dtype=np.int64)
 
     def _fuse(self, scan: Grouped, slots: NDArray[np.int64]) -> NDArray[np.bool_]:
         changed = np.empty(len(slots), np.bool_)

@@ -163,6 +163,57 @@ def measurements(heights: list[Measured], gap: float, thickness: float) -> list[
     return found
 
 
+# -- traversability --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What is measured about one surface; NaN where it cannot be."""
+
+    step: float
+    slope: float
+    roughness: float
+    known: float
+
+
+Surfaces = dict[Cell, list[tuple[float, float]]]
+"""Top and bottom of the surfaces of each cell, lowest first."""
+
+
+def met(surfaces: Surfaces, cell: Cell, z: float, headroom: float) -> float | None:
+    """The height of the surface that a robot at height z meets in a cell."""
+    candidates = [
+        (max(z - top, bottom - z, 0.0), top) for top, bottom in surfaces.get(cell, []) if bottom <= z + headroom
+    ]
+    return min(candidates, key=lambda c: c[0])[1] if candidates else None
+
+
+def ground(
+    surfaces: Surfaces, cell: Cell, z: float, radius: float, size: float, headroom: float, reach: float, rise: float
+) -> Ground:
+    """Step, slope [rad] and roughness [m] about the surface at height z of a cell."""
+    span = range(-max(1, int(radius / size)), max(1, int(radius / size)) + 1)
+    disc = [(i, j) for i in span for j in span if hypot(i, j) * size <= radius + 1e-12 or max(abs(i), abs(j)) <= 1]
+    step, points, known = 0.0, [], 0
+    for i, j in disc:
+        top = z if (i, j) == (0, 0) else met(surfaces, (cell[0] + i, cell[1] + j), z, headroom)
+        if top is None:
+            continue
+        known += 1
+        if max(abs(i), abs(j)) <= 1:
+            step = max(step, abs(top - z))
+        if abs(top - z) <= reach + rise * hypot(i, j) * size:
+            points.append((i * size, j * size, top - z))
+    slope = roughness = float("nan")
+    p = np.array(points)
+    design = np.c_[p[:, :2], np.ones(len(p))]
+    if np.linalg.matrix_rank(design, tol=1e-6) == 3:
+        plane = np.linalg.lstsq(design, p[:, 2], rcond=None)[0]
+        slope = float(np.arctan(np.hypot(*plane[:2])))
+        roughness = float(np.sqrt(np.mean((design @ plane - p[:, 2]) ** 2)))
+    return Ground(step, slope, roughness, known / len(disc))
+
+
 # -- labels by gradient ----------------------------------------------------------------------------------------
 
 

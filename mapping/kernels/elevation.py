@@ -270,6 +270,7 @@ def split_at_gaps(heights: Array, start: Int, end: Int, gap: Float, lows: Array,
     Fills lows, highs (≥ end − start,) with the ends of the intervals, in place. Returns how many.
     """
     m = end - start
+    candidates: Int = m
     low = high = heights[start]
     for k in range(start + 1, end):
         low, high = min(low, heights[k]), max(high, heights[k])
@@ -278,13 +279,12 @@ def split_at_gaps(heights: Array, start: Int, end: Int, gap: Float, lows: Array,
         return 1
     if 2.0 * (high - low) < (m - 1) * gap:  # few buckets of half a gap: no gap fits into one
         candidates = np.int64(2.0 * (high - low) / gap) + 1
-        for b in range(candidates):
-            lows[b], highs[b] = np.inf, -np.inf
+        for a in range(candidates):
+            lows[a], highs[a] = np.inf, -np.inf
         for k in range(start, end):
-            b = np.int64(2.0 * (heights[k] - low) / gap)
-            lows[b], highs[b] = min(lows[b], heights[k]), max(highs[b], heights[k])
+            bucket = np.int64(2.0 * (heights[k] - low) / gap)
+            lows[bucket], highs[bucket] = min(lows[bucket], heights[k]), max(highs[bucket], heights[k])
     else:
-        candidates = m
         for k in range(m):
             lows[k] = heights[start + k]
         if m <= 32:
