@@ -167,8 +167,8 @@ def mesh_to_points(
     summed = np.cumsum(0.5 * doubled)
     area = summed[-1] if len(summed) else 0.0
     n_points = round(area / spacing_m**2)
-    rows = np.searchsorted(summed, (np.arange(n_points) + random.uniform()) * (area / max(n_points, 1)), side="right")
-    rows = np.minimum(rows, max(len(summed) - 1, 0))
+    at = (np.arange(n_points) + random.uniform()) * (area / max(n_points, 1))
+    rows = np.searchsorted(summed, np.minimum(at, np.nextafter(area, 0.0)), side="right")  # never one without area
     root, along = np.sqrt(random.uniform(size=(n_points, 1))), random.uniform(size=(n_points, 1))
     points = (1.0 - root) * a[rows] + root * (1.0 - along) * b[rows] + root * along * c[rows]
     normals = across[rows] / doubled[rows][:, None]
@@ -229,16 +229,10 @@ def points_to_tsdf(
     or two of the nearest (implicit moving least squares: Kolluri, Provably good moving least squares, 2008, eq. 1).
     Known are voxels within `truncation_m` (default as `TsdfMap`) of the surface whose foot point on it lies no farther
     than 1.5 voxels from a point, so that holes wider than some three voxels stay open. All weigh 1.
-    Points should lie no farther apart than about a voxel.
+    Points should lie no farther apart than about a voxel. For a mesh, take `mesh_to_points` first.
+    Raises `InvalidParameter` where points and normals are not finite, not of one number, or normals not of unit length.
     """
-    places, directions = as_points(points, "points"), as_points(normals, "normals")
-    if places.shape != directions.shape:
-        raise InvalidParameter(f"normals: expected one a point {places.shape}, got {directions.shape}")
-    for name, values in (("points", places), ("normals", directions)):
-        if not np.isfinite(values).all():
-            raise InvalidParameter(f"{name}: expected finite numbers, got NaN or infinity")
-    if len(directions) and np.abs(np.linalg.norm(directions, axis=1) - 1.0).max() > 1e-3:
-        raise InvalidParameter("normals: expected unit vectors, got others")
+    places, directions = _oriented(points, normals)
     tsdf = TsdfMap(voxel_size_m, truncation_m)
     size, reach = tsdf.voxel_size_m, tsdf.truncation_m + 2.0 * tsdf.voxel_size_m
     steps = np.arange(-np.ceil(reach / tsdf.block_size_m), np.ceil(reach / tsdf.block_size_m) + 1)
@@ -285,6 +279,8 @@ def points_to_mesh(
                "poisson": Kazhdan & Hoppe, Screened Poisson Surface Reconstruction, 2013, by Open3D; closes holes, of
                which what lies farther than 3 `spacing_m` from all points is cut away again.
                "ball_pivoting": Bernardini et al. 1999, by Open3D; keeps the points as vertices, noise and all.
+
+    Raises `InvalidParameter` as `points_to_tsdf` does, and for fewer than four points where Open3D makes the mesh.
     """
     size = require("spacing_m", spacing_m, 0.0, 100.0, "m")
     if method == "distance":
@@ -293,9 +289,7 @@ def points_to_mesh(
         raise InvalidParameter(f'method: expected "distance", "poisson" or "ball_pivoting", got {method!r}')
     import open3d
 
-    places, directions = as_points(points, "points"), as_points(normals, "normals")
-    if places.shape != directions.shape:
-        raise InvalidParameter(f"normals: expected one a point {places.shape}, got {directions.shape}")
+    places, directions = _oriented(points, normals)
     if len(places) < 4:
         raise InvalidParameter(f"points: expected four or more, got {len(places)}")
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(places.copy()))
@@ -313,6 +307,20 @@ def points_to_mesh(
         np.asarray(made.triangles).astype(np.int32),
         np.asarray(made.vertex_normals).astype(np.float32),
     )
+
+
+def _oriented(points: ArrayLike, normals: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points and their unit normals (N, 3), checked."""
+    places, directions = as_points(points, "points"), as_points(normals, "normals")
+    if places.shape != directions.shape:
+        raise InvalidParameter(f"normals: expected one a point {places.shape}, got {directions.shape}")
+    for name, values in (("points", places), ("normals", directions)):
+        if not np.isfinite(values).all():
+            raise InvalidParameter(f"{name}: expected finite numbers, got NaN or infinity")
+    lengths = np.linalg.norm(directions, axis=1)
+    if len(lengths) and np.abs(lengths - 1.0).max() > 1e-3:
+        raise InvalidParameter(f"normals: expected unit vectors, got lengths {lengths.min():.3g} … {lengths.max():.3g}")
+    return places, directions
 
 
 def tsdf_to_occupancy(tsdf: TsdfMap) -> OccupancyMap:

@@ -99,6 +99,8 @@ def test_points_of_a_triangle_are_spread_evenly():
 def test_an_empty_mesh_gives_no_points():
     mesh = Mesh(np.empty((0, 3), np.float32), np.empty((0, 3), np.int32), np.empty((0, 3), np.float32))
     assert [len(part) for part in mesh_to_points(mesh, 0.1)] == [0, 0, 0]
+    line = Mesh(np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.float32))
+    assert [len(part) for part in mesh_to_points(line, 0.1)] == [0, 0, 0]
     with pytest.raises(InvalidParameter, match="spacing_m"):
         mesh_to_points(mesh, 0.0)
 
@@ -125,6 +127,15 @@ def test_distances_from_points_are_those_of_their_surface():
     assert np.abs(layer.store.used("distance") - true)[known].max() < 0.1 * SPACING
     assert known[np.abs(true) < 0.9 * layer.truncation_m].mean() > 0.99
     assert not known[np.abs(true) > 1.1 * layer.truncation_m].any()
+
+
+def test_distances_from_points_average_their_noise():
+    points, normals = ball(8000)
+    noise = np.random.default_rng(1).normal(0.0, 0.2 * SPACING, (len(points), 1))
+    mesh = points_to_tsdf(points + noise * normals, normals, SPACING).mesh()
+    off = np.linalg.norm(mesh.vertices - [0.3, 0.2, 0.1], axis=1) - 0.5
+    assert np.std(off) < 0.6 * np.std(noise)
+    assert abs(np.mean(off)) < 0.02 * SPACING
 
 
 def test_distances_from_a_plate_are_exact_and_end_where_it_ends():
