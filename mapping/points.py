@@ -53,6 +53,22 @@ class SortedPoints:
             raise InvalidObservation(f"p_sensor, T_map_sensor: {lost} points lie too far from the origin for a voxel")
 
 
+def as_colors(color: ArrayLike, n: int) -> NDArray[np.uint8]:
+    """`color` as contiguous read-only (n, 3) uint8; raises `InvalidObservation` on another shape or type."""
+    rgb = np.asarray(color)
+    if rgb.dtype != np.uint8 or rgb.shape != (n, 3):
+        raise InvalidObservation(f"color: expected uint8 ({n}, 3), got {rgb.dtype} {rgb.shape}")
+    return read_only(np.ascontiguousarray(rgb))
+
+
+def color_of_points(depth: Array, color: Array) -> Array:
+    """The colours (N, 3) of the points that `depth_to_points` gives, from an image (H, W, 3) like depth."""
+    image, measured = np.asarray(color), measured_pixels(depth)
+    if image.shape != (*measured.shape, 3):
+        raise InvalidObservation(f"color: expected {(*measured.shape, 3)} like depth, got {image.shape}")
+    return np.asarray(image[measured])
+
+
 class PointMap(MapLayer):
     """A point cloud of bounded density: measured points, not their means, at most `max_points` a voxel (after the voxel
     maps of Dellenbach et al., CT-ICP, ICRA 2022, and Vizzo et al., KISS-ICP, RA-L 2023).
@@ -137,12 +153,7 @@ class PointMap(MapLayer):
     ) -> Changed:
         """Offer the points of one depth image (H, W) float32 [m] or uint16 [mm], 0 = not measured, and its colours
         (H, W, 3) uint8. Returns the blocks changed."""
-        paints = None
-        if color is not None:
-            image, measured = np.asarray(color), measured_pixels(depth)
-            if image.shape != (*measured.shape, 3):
-                raise InvalidObservation(f"color: expected {(*measured.shape, 3)} like depth, got {image.shape}")
-            paints = image[measured]
+        paints = None if color is None else color_of_points(depth, color)
         return self.integrate(depth_to_points(depth, intrinsics), T_map_camera, color=paints)
 
     def merge(self, other: PointMap) -> Changed:
@@ -176,12 +187,9 @@ class PointMap(MapLayer):
         elif "intensity" in self.store.fields:
             strengths = read_only(np.zeros(n, np.float32))
         if color is not None:
-            rgb = np.asarray(color)
-            if rgb.dtype != np.uint8 or rgb.shape != (n, 3):
-                raise InvalidObservation(f"color: expected uint8 ({n}, 3), got {rgb.dtype} {rgb.shape}")
+            wide = as_colors(color, n).astype(np.uint32)
             if "color" not in self.store.fields:
                 self._keep("color", np.uint32)
-            wide = rgb.astype(np.uint32)
             paints = read_only(wide[:, 0] << 16 | wide[:, 1] << 8 | wide[:, 2])
         elif "color" in self.store.fields:
             paints = read_only(np.zeros(n, np.uint32))

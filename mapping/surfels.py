@@ -15,7 +15,7 @@ from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import BlockStore, as_points
 from mapping.kernels import surfels as kernels
 from mapping.layer import Changed, MapLayer, require, require_whole
-from mapping.points import SortedPoints
+from mapping.points import SortedPoints, as_colors, color_of_points
 from mapping.view import as_pose
 
 Array: TypeAlias = NDArray[Any]
@@ -34,6 +34,7 @@ class Surfels:
     covariances  (N, 3, 3) float64 [m²] of the points (divided by n − 1)
     eigenvalues  (N, 3) float64 [m²] of these, ascending; the first is the variance across the surface
     counts       (N,) int64 points
+    colors       (N, 3) uint8, the mean of the points that had one, black where none had; None where none ever had
     """
 
     centres: NDArray[np.float64]
@@ -42,6 +43,7 @@ class Surfels:
     covariances: NDArray[np.float64]
     eigenvalues: NDArray[np.float64]
     counts: NDArray[np.int64]
+    colors: NDArray[np.uint8] | None = None
 
     def __len__(self) -> int:
         return len(self.centres)
@@ -61,6 +63,7 @@ class SurfelMap(MapLayer):
     voxel_size_m  edge of a voxel [m]
     max_range_m   points farther from the sensor [m] are left out
     min_points    points that a voxel needs to make a surfel, 3 or more
+    with_color    keep mean colours from the beginning; otherwise from the first scan that has any
 
     Moments of scans are merged pairwise (Chan, Golub & LeVeque 1979), so order does not matter but for rounding, and
     maps can be merged. Nothing is forgotten. Blocks of this layer are single voxels. Raises `InvalidParameter` on bad
@@ -69,46 +72,78 @@ class SurfelMap(MapLayer):
 
     kind: ClassVar[str] = "surfels"
 
-    def __init__(self, voxel_size_m: float = 0.1, max_range_m: float = 100.0, *, min_points: int = 5) -> None:
+    def __init__(
+        self,
+        voxel_size_m: float = 0.1,
+        max_range_m: float = 100.0,
+        *,
+        min_points: int = 5,
+        with_color: bool = False,
+    ) -> None:
         size = require("voxel_size_m", voxel_size_m, 0.0, 100.0, "m")
         self.max_range_m = require("max_range_m", max_range_m, 0.0, 10_000.0, "m")
         self.min_points = require_whole("min_points", min_points, 3, 1_000_000)
         self.store = BlockStore({"moments": np.dtype((np.float32, (kernels.MOMENTS,)))}, size, edge=1)
+        if with_color:
+            self._keep_color()
 
     def parameters(self) -> dict[str, Any]:
         return {
             "voxel_size_m": self.voxel_size_m,
             "max_range_m": self.max_range_m,
             "min_points": self.min_points,
+            "with_color": self.has_color,
         }
 
+    @property
+    def has_color(self) -> bool:
+        return "color" in self.store.fields
+
+    def _keep_color(self) -> None:
+        self.store.add_field("color", np.dtype((np.float32, (4,))))
+
     # -- updates ------------------------------------------------------------------------------------------
-    def integrate(self, p_sensor: ArrayLike, T_map_sensor: SE3 | ArrayLike) -> Changed:
-        """Add one scan: p_sensor (N, 3) [m] in the sensor frame. Returns the blocks (voxels) changed: those that hold
-        points of the scan."""
+    def integrate(
+        self, p_sensor: ArrayLike, T_map_sensor: SE3 | ArrayLike, *, color: ArrayLike | None = None
+    ) -> Changed:
+        """Add one scan: p_sensor (N, 3) [m] in the sensor frame and, if there are any, colours (N, 3) uint8. Returns
+        the blocks (voxels) changed: those that hold points of the scan."""
         scan = SortedPoints(p_sensor, T_map_sensor, self.max_range_m, self.voxel_size_m)
-        sums = np.empty((len(scan.voxel_ijk), kernels.MOMENTS))
+        moments, colors = np.empty((len(scan.voxel_ijk), kernels.MOMENTS)), None
         origin = as_pose(T_map_sensor, "T_map_sensor").translation / self.voxel_size_m
-        kernels.sum_points(scan.rows, scan.offsets, scan.voxel_ijk, origin, sums)
-        return self._merge(scan.voxel_ijk, sums)
+        kernels.sum_points(scan.rows, scan.offsets, scan.voxel_ijk, origin, moments)
+        if color is not None:
+            colors = np.empty((len(scan.voxel_ijk), 4))
+            kernels.sum_colors(scan.rows, as_colors(color, len(scan.rows)), colors)
+        return self._merge(scan.voxel_ijk, moments, colors)
 
     def integrate_image(
-        self, depth: Array, intrinsics: CameraIntrinsics | Mapping[str, float], T_map_camera: SE3 | ArrayLike
+        self,
+        depth: Array,
+        intrinsics: CameraIntrinsics | Mapping[str, float],
+        T_map_camera: SE3 | ArrayLike,
+        color: Array | None = None,
     ) -> Changed:
-        """Add the points of one depth image (H, W) float32 [m] or uint16 [mm], 0 = not measured. Returns the blocks
-        changed."""
-        return self.integrate(depth_to_points(depth, intrinsics), T_map_camera)
+        """Add the points of one depth image (H, W) float32 [m] or uint16 [mm], 0 = not measured, and its colours
+        (H, W, 3) uint8. Returns the blocks changed."""
+        paints = None if color is None else color_of_points(depth, color)
+        return self.integrate(depth_to_points(depth, intrinsics), T_map_camera, color=paints)
 
     def merge(self, other: SurfelMap) -> Changed:
         """Add the points of another map of the same frame and voxel size, by their moments. Returns the blocks changed;
         raises `InvalidParameter` where the voxels differ."""
         if other.voxel_size_m != self.voxel_size_m:
             raise InvalidParameter(f"other: expected voxel_size_m = {self.voxel_size_m}, got {other.voxel_size_m}")
-        return self._merge(other.block_ijk, other.store.used("moments")[:, 0].astype(np.float64))
+        colors = other.store.used("color")[:, 0].astype(np.float64) if other.has_color else None
+        return self._merge(other.block_ijk, other.store.used("moments")[:, 0].astype(np.float64), colors)
 
-    def _merge(self, voxel_ijk: Array, others: NDArray[np.float64]) -> Changed:
+    def _merge(self, voxel_ijk: Array, moments: NDArray[np.float64], colors: NDArray[np.float64] | None) -> Changed:
+        if colors is not None and not self.has_color:
+            self._keep_color()
         slots = self.store.allocate(voxel_ijk)
-        kernels.merge_moments(self._moments, slots, others)
+        kernels.merge_moments(self._moments, slots, moments)
+        if colors is not None:
+            kernels.merge_colors(self.store.fields["color"].reshape(-1, 4), slots, colors)
         return self._note(slots)
 
     @property
@@ -134,6 +169,7 @@ class SurfelMap(MapLayer):
             covariances=covariances[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]] * size**2,
             eigenvalues=eigenvalues * size**2,
             counts=rows[:, 0].astype(np.int64),
+            colors=np.rint(self.store.used("color")[slots, 0, 1:]).astype(np.uint8) if self.has_color else None,
         )
 
     def query(self, p_map: ArrayLike) -> NDArray[np.float64]:

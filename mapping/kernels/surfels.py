@@ -99,6 +99,32 @@ def merge_moments(moments: Array, slots: Array, others: Array) -> None:
 
 
 @njit(cache=True)
+def sum_colors(rows: Array, color: Array, sums: Array) -> None:
+    """Number and mean colour (k, 4) float64 of one scan's points in each of its voxels, filled.
+
+    rows (n,) : each point's voxel, −1 = none;  color (n, 3) uint8
+    """
+    sums[:] = 0.0
+    for n in range(rows.shape[0]):
+        if rows[n] >= 0:
+            of = sums[rows[n]]
+            of[0] += 1.0
+            for channel in range(3):
+                of[1 + channel] += (color[n, channel] - of[1 + channel]) / of[0]
+
+
+@njit(cache=True)
+def merge_colors(colors: Array, slots: Array, others: Array) -> None:
+    """Merge numbers and mean colours `others` (k, 4) into the rows `slots` (k,) of `colors` (capacity, 4), in place."""
+    for r in range(slots.shape[0]):
+        to, of = colors[slots[r]], others[r]
+        if of[0] > 0.0:
+            to[0] += of[0]
+            for channel in range(1, 4):
+                to[channel] += of[0] / to[0] * (of[channel] - to[channel])
+
+
+@njit(cache=True)
 def _across(m: Array, shift: Float) -> tuple[Float, Float, Float]:
     """The unit vector across the rows of the symmetric matrix m (6,) less `shift` times the identity, of rank 2."""
     xx, xy, xz, yy, yz, zz = m[0] - shift, m[1], m[2], m[3] - shift, m[4], m[5] - shift

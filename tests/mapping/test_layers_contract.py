@@ -112,7 +112,7 @@ CASES = [
     Case("points of beams", PointMap, bright_beams, value, {"max_points": 1.5, "max_range_m": -1.0}),
     Case("points of coloured images", PointMap, colored_image, value, {"max_points": 257}),
     Case("surfels of beams", SurfelMap, many_beams, value, {"min_points": 2, "max_range_m": 0.0}, 1e-4),
-    Case("surfels of images", SurfelMap, image, value, {"min_points": float("nan")}, 1e-4),
+    Case("surfels of coloured images", SurfelMap, colored_image, value, {"min_points": float("nan")}, 1e-4),
     Case("semantics", SemanticMap, votes, confidence, {"memory": -1.0}, 1e-5),
     Case("height map", HeightMap, beams, value, {"max_range_m": 0.0, "above_sensor_m": float("nan")}, 1e-5),
     Case("elevation map", ElevationMap, beams, value, {"range_sigma_m": -1.0, "least_sigma_m": 0.0}, 1e-5),

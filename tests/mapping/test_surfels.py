@@ -198,6 +198,37 @@ def test_images_and_points_give_the_same_map():
     assert_equal_up_to_rounding(by_image, by_points, atol=1e-5)
 
 
+def test_colours_are_means_whatever_the_order():
+    points = cloud(400, 7)
+    color = np.random.default_rng(8).integers(0, 256, (400, 3)).astype(np.uint8)
+    whole, parts, merged = SurfelMap(0.4), SurfelMap(0.4), SurfelMap(0.4)
+    whole.integrate(points, HERE, color=color)
+    for part in np.split(np.random.default_rng(9).permutation(400), [50, 300]):
+        parts.integrate(points[part], HERE, color=color[part])
+        alone = SurfelMap(0.4)
+        alone.integrate(points[part], HERE, color=color[part])
+        merged.merge(alone)
+    voxel = [tuple(v) for v in np.floor(points / 0.4).astype(int).tolist()]
+    for layer in (whole, parts, merged):
+        surfels = layer.surfels
+        for centre, found in zip(np.floor(surfels.centres / 0.4).astype(int).tolist(), surfels.colors, strict=True):
+            expected = color[[v == tuple(centre) for v in voxel]].mean(axis=0)
+            assert np.abs(found - expected).max() <= 0.51
+
+
+def test_colours_come_with_the_first_scan_that_has_them():
+    layer = SurfelMap(0.1, min_points=3)
+    points = np.array([[0.01, 0.0, 0.0], [0.02, 0.01, 0.0], [0.02, 0.02, 0.0]])
+    layer.integrate(points + np.array([1.0, 0.0, 0.0]), HERE)
+    assert layer.surfels.colors is None
+    layer.integrate(points, HERE, color=np.full((3, 3), 9, np.uint8))
+    assert sorted(layer.surfels.colors.tolist()) == [[0, 0, 0], [9, 9, 9]]
+    layer.integrate(points, HERE)  # without colours these stay
+    assert sorted(layer.surfels.colors.tolist()) == [[0, 0, 0], [9, 9, 9]]
+    with pytest.raises(InvalidObservation, match="color"):
+        layer.integrate(points, HERE, color=np.zeros((3, 3)))
+
+
 def test_fewer_points_make_no_surfel_and_bad_ones_are_refused():
     layer = SurfelMap(0.1, 5.0, min_points=3)
     layer.integrate([[0.01, 0.0, 0.0], [0.02, 0.01, 0.0], [6.0, 0.0, 0.0]], HERE)
@@ -211,3 +242,23 @@ def test_fewer_points_make_no_surfel_and_bad_ones_are_refused():
         layer.merge(SurfelMap(0.2))
     with pytest.raises(InvalidParameter, match="min_points"):
         SurfelMap(0.1, min_points=3.5)
+
+
+def compiled() -> dict[str, int]:
+    """For each kernel, for how many types of input it is compiled."""
+    return {name: len(kernel.signatures) for name, kernel in vars(kernels).items() if hasattr(kernel, "signatures")}
+
+
+def test_kernels_are_compiled_once_whatever_arrays_a_caller_holds():
+    points = cloud(60, 0)
+    before = compiled()
+    for scan in (points, points.astype(np.float32)[::2], np.asfortranarray(points), points.tolist()):
+        layer = SurfelMap(0.4)
+        layer.integrate(scan, HERE)
+        layer.integrate(scan, HERE, color=np.zeros((len(scan), 3), np.uint8)[:, ::-1])
+        layer.merge(SurfelMap.from_state(layer.state()))
+        layer.query(scan)
+        layer.likelihood(scan)
+        assert len(layer.surfels)
+    for name, count in compiled().items():
+        assert count <= max(before[name], 1), name
