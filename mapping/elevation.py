@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal, TypeAlias, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,8 +11,6 @@ from mapping.errors import InvalidParameter
 from mapping.kernels import elevation
 from mapping.layer import require
 from mapping.tiles import Grouped, HeightNoise, TileLayer
-
-Array: TypeAlias = NDArray[Any]
 
 Height = Literal["mean", "lowest", "highest"]
 
@@ -35,7 +33,14 @@ class HeightMap(TileLayer):
 
     def __init__(self, voxel_size_m: float = 0.1, max_range_m: float = 30.0, *, above_sensor_m: float = np.inf) -> None:
         names = ("count", "mean", "spread", "lowest", "highest")
-        super().__init__(dict.fromkeys(names, np.float32), {}, voxel_size_m, max_range_m, above_sensor_m, HeightNoise())
+        super().__init__(
+            dict.fromkeys(names, np.float32),
+            dict.fromkeys(names[1:], np.nan),
+            voxel_size_m,
+            max_range_m,
+            above_sensor_m,
+            HeightNoise(),
+        )
 
     def parameters(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in ("voxel_size_m", "max_range_m", "above_sensor_m")}
@@ -44,15 +49,11 @@ class HeightMap(TileLayer):
         """The mean, lowest or highest height (N,) [m] of the cell of each point (N, 3) or (N, 2) [m]; NaN unknown."""
         if which not in get_args(Height):
             raise InvalidParameter(f"which: expected one of {', '.join(get_args(Height))}, got {which!r}")
-        return self._where_known(p_map, self._cells(which, p_map))
+        return self._cells(which, p_map)
 
     def variance(self, p_map: ArrayLike) -> NDArray[np.float64]:
         """The variance (N,) [m²] of the heights that were measured in the cell of each point; NaN where unknown."""
-        count = np.maximum(self._cells("count", p_map), 1.0)
-        return self._where_known(p_map, self._cells("spread", p_map) / count)
-
-    def _where_known(self, p_map: ArrayLike, values: Array) -> NDArray[np.float64]:
-        return np.where(self._cells("count", p_map) > 0.0, values.astype(np.float64), np.nan)
+        return self._cells("spread", p_map) / np.maximum(self._cells("count", p_map), 1.0)
 
     def _fuse(self, scan: Grouped, slots: NDArray[np.int64]) -> NDArray[np.bool_]:
         f = self.store.fields
@@ -94,11 +95,11 @@ class ElevationMap(TileLayer):
 
     def query(self, p_map: ArrayLike) -> NDArray[np.float64]:
         """The height (N,) [m] of the cell of each point (N, 3) or (N, 2) [m]; NaN where unknown."""
-        return self._cells("mean", p_map).astype(np.float64)
+        return self._cells("mean", p_map)
 
     def variance(self, p_map: ArrayLike) -> NDArray[np.float64]:
         """The variance (N,) [m²] of that height; NaN where unknown."""
-        return self._cells("variance", p_map).astype(np.float64)
+        return self._cells("variance", p_map)
 
     def _fuse(self, scan: Grouped, slots: NDArray[np.int64]) -> NDArray[np.bool_]:
         changed = np.empty(len(slots), np.bool_)
@@ -170,21 +171,21 @@ class ExtendedElevationMap(TileLayer):
 
     def query(self, p_map: ArrayLike) -> NDArray[np.float64]:
         """The height (N,) [m], below any gap, of the cell of each point (N, 3) or (N, 2) [m]; NaN where unknown."""
-        return self._cells("parts", p_map)[:, 0, elevation.MEAN].astype(np.float64)
+        return self._cells("parts", p_map, 0, elevation.MEAN)
 
     def variance(self, p_map: ArrayLike) -> NDArray[np.float64]:
         """The variance (N,) [m²] of that height; NaN where unknown."""
-        weight = self._cells("parts", p_map)[:, 0, elevation.WEIGHT].astype(np.float64)
+        weight = self._cells("parts", p_map, 0, elevation.WEIGHT)
         return np.maximum(1.0 / weight, self.noise.least_sigma_m**2)
 
     def extent(self, p_map: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The lowest and highest point (N,) [m] below the lowest gap of each point's cell; NaN where unknown."""
-        part = self._cells("parts", p_map)[:, 0].astype(np.float64)
+        part = self._cells("parts", p_map, 0)
         return part[:, elevation.LOW], part[:, elevation.HIGH]
 
     def clearance(self, p_map: ArrayLike) -> NDArray[np.float64]:
         """The height (N,) [m] of the lowest gap in each point's cell: ∞ where nothing was seen above, NaN unknown."""
-        parts = self._cells("parts", p_map).astype(np.float64)
+        parts = self._cells("parts", p_map)
         gap = parts[:, 1, elevation.LOW] - parts[:, 0, elevation.HIGH]
         return np.where(np.isnan(gap) & ~np.isnan(parts[:, 0, elevation.LOW]), np.inf, gap)
 

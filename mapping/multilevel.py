@@ -70,39 +70,35 @@ class MultiLevelMap(TileLayer):
 
         A patch is as near as what it occupies. For points (N, 2) the lowest patch counts.
         """
-        return self.nearest(p_map)[:, 0]
+        return self._nearest(p_map)[:, 0].copy()
 
     def variance(self, p_map: ArrayLike) -> NDArray[np.float64]:
         """The variance (N,) [m²] of that height; NaN where unknown."""
-        return self.nearest(p_map)[:, 1] ** 2
+        return self._nearest(p_map)[:, 1].copy()
 
     def nearest(self, p_map: ArrayLike) -> NDArray[np.float64]:
         """(N, 3) μ, σ and d [m] of the patch nearest to each point (N, 3), the lowest for (N, 2); NaN unknown."""
-        patches = self.patches(p_map)
-        chosen: NDArray[np.float64] = patches[np.arange(len(patches)), self._choose(p_map, patches)]
-        return chosen
+        found = self._nearest(p_map)[:, :3].copy()
+        found[:, multilevel.VARIANCE] = np.sqrt(found[:, multilevel.VARIANCE])
+        return found
 
     def clearance(self, p_map: ArrayLike) -> NDArray[np.float64]:
         """The free height (N,) [m] above the patch nearest to each point: ∞ where none is above, NaN unknown."""
-        patches = self.patches(p_map)
-        rows, chosen = np.arange(len(patches)), self._choose(p_map, patches)
-        above = np.concatenate([patches[:, 1:], np.full((len(patches), 1, 3), np.nan)], axis=1)[rows, chosen]
-        free = above[:, 0] - above[:, 2] - patches[rows, chosen, 0]
-        return np.where(np.isnan(free) & ~np.isnan(patches[:, 0, 0]), np.inf, free)
+        return self._nearest(p_map)[:, 3].copy()
 
     def patches(self, p_map: ArrayLike) -> NDArray[np.float64]:
         """(N, most_patches, 3) μ, σ and d [m] of the patches in each point's cell, ascending; NaN beyond them."""
-        patches = self._cells("patches", p_map).astype(np.float64)
+        patches = self._cells("patches", p_map)
         patches[..., multilevel.VARIANCE] = np.sqrt(patches[..., multilevel.VARIANCE])
         return patches
 
-    def _choose(self, p_map: ArrayLike, patches: NDArray[np.float64]) -> NDArray[np.int64]:
+    def _nearest(self, p_map: ArrayLike) -> NDArray[np.float64]:
+        slots, local = self.locate(p_map)
         points = np.asarray(p_map, dtype=np.float64)
-        if points.shape[1] == 2:
-            return np.zeros(len(points), np.int64)
-        top, z = patches[..., 0], points[:, 2:]
-        distance = np.maximum(np.maximum(z - top, top - patches[..., 2] - z), 0.0)
-        return np.asarray(np.where(np.isnan(distance), np.inf, distance).argmin(axis=1), dtype=np.int64)
+        heights = np.ascontiguousarray(points[:, 2]) if points.shape[1] == 3 else np.full(len(points), np.nan)
+        found = np.empty((len(points), 4))
+        multilevel.read_nearest(self.store.fields["patches"], slots, local, heights, found)
+        return found
 
     def _fuse(self, scan: Grouped, slots: NDArray[np.int64]) -> NDArray[np.bool_]:
         changed = np.empty(len(slots), np.bool_)

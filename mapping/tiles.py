@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from mapping.errors import InvalidObservation, InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import BLOCK_EDGE, BlockStore, as_points, new_table, read_only
-from mapping.kernels import elevation
+from mapping.kernels import tiles as kernels
 from mapping.layer import Changed, MapLayer, require
 from mapping.view import as_depth_m, as_pose
 
@@ -54,7 +54,7 @@ class HeightNoise:
 
     @property
     def of_points(self) -> NDArray[np.float64]:
-        """(4,) as `kernels.elevation.group_by_cell` takes it."""
+        """(4,) as `kernels.group_by_cell` takes it."""
         return np.array([self.range_sigma_m, self.range_sigma_per_m, self.beam_sigma_rad, self.least_sigma_m])
 
     @property
@@ -84,7 +84,7 @@ def height_variance(T_map_sensor: SE3, covariance: Array) -> NDArray[np.float64]
 
 
 class Grouped(NamedTuple):
-    """The heights of a scan, sorted by cell; see `mapping.kernels.elevation`."""
+    """The heights of a scan, sorted by cell; see `mapping.kernels.tiles`."""
 
     tiles: NDArray[np.int32]
     starts: NDArray[np.int32]
@@ -154,7 +154,7 @@ class TileLayer(MapLayer):
                 f"depth has shape {depth_m.shape}, but intrinsics say (height, width) = {(model.height, model.width)}"
             )
         points = np.empty((depth_m.size, 3))
-        n = elevation.points_of_image(depth_m, model.fx, model.fy, model.cx, model.cy, points)
+        n = kernels.points_of_image(depth_m, model.fx, model.fy, model.cx, model.cy, points)
         return self._integrate(read_only(points[:n]), pose, covariance)
 
     def _integrate(self, points: NDArray[np.float64], pose: SE3, covariance: ArrayLike | None) -> Changed:
@@ -182,10 +182,10 @@ class TileLayer(MapLayer):
             tiles = np.empty((self._room, 3), np.int32)
             starts = np.empty(CELLS * self._room + 1, np.int32)
             table = new_table(tiles, 0, self._room)
-            n_tiles = elevation.group_by_cell(
+            n_tiles = kernels.group_by_cell(
                 points, row, self.noise.of_points, limits, table, tiles, keys, scratch, starts, heights, weights
             )
-            if n_tiles == elevation.OUT_OF_RANGE:
+            if n_tiles == kernels.OUT_OF_RANGE:
                 raise InvalidObservation("p_sensor: expected finite points within the map's bounds, got others")
             if n_tiles >= 0:
                 quadratic = height_variance(pose, covariance)
@@ -201,18 +201,17 @@ class TileLayer(MapLayer):
         """Slot (N,) (−1: no tile) and index within the tile (N,) of the cell below each point (N, 3) or (N, 2) [m]."""
         xy = as_columns(p_map)
         slots, local = np.empty(len(xy), np.int64), np.empty(len(xy), np.int64)
-        elevation.locate_cells(self.store.table, xy, 1.0 / self.voxel_size_m, slots, local)
+        kernels.locate_cells(self.store.table, xy, 1.0 / self.voxel_size_m, slots, local)
         return slots, local
 
-    def _cells(self, name: str, p_map: ArrayLike) -> Array:
-        """The field `name` of the cell below each point, (N, …); the value of a new cell where there is none."""
+    def _cells(self, name: str, p_map: ArrayLike, *of_cell: int) -> NDArray[np.float64]:
+        """The field `name` of the cell of each point, or an element of it, (N, …) float64; NaN where there is none."""
         slots, local = self.locate(p_map)
         field = self.store.fields[name]
-        empty = self.store._filled(name, 1)[0, 0]
-        if not len(field):
-            return np.broadcast_to(empty, (len(slots), *empty.shape)).copy()
-        values = field[slots, local]
-        values[slots < 0] = empty
+        if not self.store.n_blocks:
+            return np.full((len(slots), *field.shape[2 + len(of_cell) :]), np.nan)
+        values: NDArray[np.float64] = field[(slots, local, *of_cell)].astype(np.float64)
+        values[slots < 0] = np.nan
         return values
 
     # -- pictures -----------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mapping.kernels.elevation import pose_variance, split_at_gaps
+from mapping.kernels.tiles import pose_variance, split_at_gaps
 
 Array: TypeAlias = NDArray[Any]
 Int: TypeAlias = Any
@@ -174,3 +174,33 @@ def fuse_patches(
                 changed[r] = True
                 for f in range(3):
                     patches[slot, w, a, f] = np.nan
+
+
+@njit(cache=True)
+def read_nearest(patches: Array, slots: Array, local: Array, heights: Array, found: Array) -> None:
+    """The patch nearest to each height, as `nearest_patch` has it, in the cell (slots, local) (n,); in place.
+
+    heights : (n,) float64 [m], NaN: the lowest patch is asked for
+    found   : (n, 4) float64, filled: mean, variance, depth, and the free height above it, ∞ where no patch is above;
+              NaN where there is no patch
+    """
+    for n in range(slots.shape[0]):
+        found[n, 0] = found[n, 1] = found[n, 2] = found[n, 3] = np.nan
+        slot, w = slots[n], local[n]
+        best = -1
+        best_distance = np.inf
+        m = 0
+        while slot >= 0 and m < patches.shape[2] and not np.isnan(patches[slot, w, m, MEAN]):
+            top = np.float64(patches[slot, w, m, MEAN])
+            bottom = top - np.float64(patches[slot, w, m, DEPTH])
+            distance = 0.0 if np.isnan(heights[n]) else max(heights[n] - top, bottom - heights[n], 0.0)
+            if distance < best_distance:
+                best, best_distance = m, distance
+            m += 1
+        if best >= 0:
+            for f in range(3):
+                found[n, f] = patches[slot, w, best, f]
+            found[n, 3] = np.inf
+            if best + 1 < m:
+                above = np.float64(patches[slot, w, best + 1, MEAN]) - np.float64(patches[slot, w, best + 1, DEPTH])
+                found[n, 3] = above - found[n, 0]
