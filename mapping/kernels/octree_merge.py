@@ -32,8 +32,8 @@ _VOXEL_OF_CODE = np.array(
 _CHILD, _CODE, _OWN, _CONTENT = 0, 1, 2, 3  # next child; Morton code of its cell; place in the output; content
 _INNER, _LEAF, _NEXT = 4, 5, 6  # the file's node with children here, or its leaf over this cell; its next node
 _SAME, _MASK, _ALIKE = 7, 8, 9  # nothing changed so far; children there are; all leaves of one value so far
-_RED, _GREEN, _BLUE, _COLORED, _FIRST_COLORED = 10, 11, 12, 13, 14
-FRAME = 15
+_RED, _GREEN, _BLUE, _COLORED = 10, 11, 12, 13  # sums over the children that have a colour; which have
+FRAME = 14
 """Numbers that `merge` keeps for each level."""
 
 
@@ -41,37 +41,45 @@ FRAME = 15
 def open_root(frames: Array, file_children: Array) -> None:
     """Set up `frames` (DEPTH + 2, FRAME) int64 for `merge`, in place."""
     frames[:] = 0
-    _open(frames[DEPTH], 0, 0, SEVERAL, -1, -1)
+    inner = leaf = np.int64(-1)
     if file_children.shape[0]:
         if file_children[0]:
-            frames[DEPTH, _INNER], frames[DEPTH, _NEXT] = 0, 1
+            inner = np.int64(0)
         else:
-            frames[DEPTH, _LEAF] = 0
+            leaf = np.int64(0)
+    _open(frames, DEPTH, 0, 0, SEVERAL, inner, leaf)
 
 
 @njit(cache=True)
-def _open(frame: Array, code: Int, own: Int, content: Int, inner: Int, leaf: Int) -> None:
-    frame[:] = 0
-    frame[_CODE], frame[_OWN], frame[_CONTENT] = code, own, content
-    frame[_INNER], frame[_LEAF], frame[_NEXT] = inner, leaf, inner + 1
-    frame[_SAME] = frame[_ALIKE] = 1
+def _open(frames: Array, level: Int, code: Int, own: Int, content: Int, inner: Int, leaf: Int) -> None:
+    for n in range(FRAME):
+        frames[level, n] = 0
+    frames[level, _CODE], frames[level, _OWN], frames[level, _CONTENT] = code, own, content
+    frames[level, _INNER], frames[level, _LEAF], frames[level, _NEXT] = inner, leaf, inner + 1
+    frames[level, _SAME] = frames[level, _ALIKE] = 1
 
 
 @njit(cache=True)
-def _add_child(frame: Array, limits: Array, child: Int, leaf: Int, value: float, color: Array) -> None:
-    """Count one finished child in its parent's frame."""
-    colored = color[0] != WHITE or color[1] != WHITE or color[2] != WHITE
-    if frame[_MASK] == 0:
-        limits[0] = limits[1] = value
-        frame[_FIRST_COLORED] = colored
-    frame[_MASK] |= 1 << child
-    frame[_ALIKE] = frame[_ALIKE] and leaf and value == limits[0]
-    limits[1] = max(limits[1], value)
-    if colored:
-        frame[_RED] += color[0]
-        frame[_GREEN] += color[1]
-        frame[_BLUE] += color[2]
-        frame[_COLORED] += 1
+def _add_child(frames: Array, limits: Array, level: Int, child: Int, leaf: Int, value: float) -> None:
+    """Count one finished child in the frame of its parent at `level`."""
+    if frames[level, _MASK] == 0:
+        limits[level, 0] = limits[level, 1] = value
+    elif value > limits[level, 1]:
+        limits[level, 1] = value
+    if not leaf or value != limits[level, 0]:
+        frames[level, _ALIKE] = 0
+    frames[level, _MASK] |= 1 << child
+
+
+@njit(cache=True)
+def _add_color(frames: Array, level: Int, child: Int, colors: Array, node: Int) -> None:
+    """Add the colour of a finished child, if it has one, to the frame of its parent at `level`."""
+    red, green, blue = np.int64(colors[node, 0]), np.int64(colors[node, 1]), np.int64(colors[node, 2])
+    if red != WHITE or green != WHITE or blue != WHITE:
+        frames[level, _RED] += red
+        frames[level, _GREEN] += green
+        frames[level, _BLUE] += blue
+        frames[level, _COLORED] |= 1 << child
 
 
 @njit(cache=True)
@@ -100,19 +108,18 @@ def merge(
         if at == children.shape[0]:
             cursor[0], cursor[1], cursor[2] = level, at, cell
             return False
-        frame = frames[level]
-        child = frame[_CHILD]
+        child = frames[level, _CHILD]
         if child < 8:
-            frame[_CHILD] += 1
+            frames[level, _CHILD] += 1
             below = level - 1
-            code = frame[_CODE] | child << 3 * below
-            inner, leaf, content = np.int64(-1), frame[_LEAF], frame[_CONTENT]
-            if frame[_INNER] >= 0 and file_children[frame[_INNER]] >> child & 1:
-                if file_children[frame[_NEXT]]:
-                    inner = frame[_NEXT]
+            code = frames[level, _CODE] | child << 3 * below
+            inner, leaf, content = np.int64(-1), frames[level, _LEAF], frames[level, _CONTENT]
+            if frames[level, _INNER] >= 0 and file_children[frames[level, _INNER]] >> child & 1:
+                if file_children[frames[level, _NEXT]]:
+                    inner = frames[level, _NEXT]
                 else:
-                    leaf = frame[_NEXT]
-                    frame[_NEXT] += 1
+                    leaf = frames[level, _NEXT]
+                    frames[level, _NEXT] += 1
             if content == SEVERAL:
                 if cell == codes.shape[0] or codes[cell] >= (code >> 9) + (np.int64(1) << 3 * (below - 3)):
                     content = UNKNOWN
@@ -120,58 +127,57 @@ def merge(
                     content = contents[cell]
                     cell += 1
             elif content >= ROW and below == 0:
-                content = evidence[content - ROW, _VOXEL_OF_CODE[code & 511]]
+                content = np.int64(evidence[content - ROW, _VOXEL_OF_CODE[code & 511]])
             if content == UNKNOWN:
                 if inner >= 0:
-                    frame[_NEXT] = next_sibling(file_children, inner)
-                frame[_SAME] = frame[_SAME] and inner < 0 and leaf < 0
+                    frames[level, _NEXT] = next_sibling(file_children, inner)
+                if inner >= 0 or leaf >= 0:
+                    frames[level, _SAME] = 0
             elif content < SEVERAL and inner < 0:
                 children[at] = 0
                 if leaf >= 0 and file_evidence[leaf] == content:
                     values[at] = file_values[leaf]
                 else:
                     values[at] = value_of[content + 128]
-                    frame[_SAME] = 0
+                    frames[level, _SAME] = 0
+                _add_child(frames, limits, level, child, 1, values[at])
                 if colored:
-                    colors[at] = WHITE
-                    if leaf >= 0:
-                        colors[at] = file_colors[leaf]
-                _add_child(frame, limits[level], child, 1, values[at], colors[at if colored else 0])
+                    for channel in range(3):
+                        colors[at, channel] = file_colors[leaf, channel] if leaf >= 0 else WHITE
+                    _add_color(frames, level, child, colors, at)
                 at += 1
             else:
-                _open(frames[below], code, at, content, inner, leaf)
+                _open(frames, below, code, at, content, inner, leaf)
                 level = below
                 at += 1
             continue
-        own, parent = frame[_OWN], frames[level + 1]
-        if frame[_INNER] >= 0:
-            parent[_NEXT] = frame[_NEXT]
-        parent[_SAME] = parent[_SAME] and frame[_SAME]
-        if frame[_MASK] == 0:
+        own, inner, leaf = frames[level, _OWN], frames[level, _INNER], frames[level, _LEAF]
+        same, mask = frames[level, _SAME], frames[level, _MASK]
+        if inner >= 0:
+            frames[level + 1, _NEXT] = frames[level, _NEXT]
+        if not same:
+            frames[level + 1, _SAME] = 0
+        if mask == 0:
             at = own
         else:
-            pruned = False
-            if frame[_SAME]:
-                source = frame[_INNER] if frame[_INNER] >= 0 else frame[_LEAF]
-                pruned = frame[_INNER] < 0
-                values[own] = file_values[source]
-                if colored:
-                    colors[own] = file_colors[source]
-            else:
-                pruned = frame[_MASK] == 255 and frame[_ALIKE]
-                values[own] = limits[level, 1]
-                if colored:
-                    count = frame[_COLORED] if not pruned or frame[_FIRST_COLORED] else 0
-                    colors[own] = WHITE
-                    if count:
-                        colors[own, 0] = frame[_RED] // count
-                        colors[own, 1] = frame[_GREEN] // count
-                        colors[own, 2] = frame[_BLUE] // count
-            children[own] = 0 if pruned else frame[_MASK]
+            which = frames[level, _CODE] >> 3 * level & 7
+            source = inner if inner >= 0 else leaf
+            pruned = inner < 0 if same else mask == 255 and frames[level, _ALIKE] != 0
+            values[own] = file_values[source] if same else limits[level, 1]
+            children[own] = 0 if pruned else mask
+            _add_child(frames, limits, level + 1, which, pruned, values[own])
+            if colored:
+                given = frames[level, _COLORED]
+                if pruned and not given & 1:
+                    given = 0
+                count = (given & 1) + (given >> 1 & 1) + (given >> 2 & 1) + (given >> 3 & 1)
+                count += (given >> 4 & 1) + (given >> 5 & 1) + (given >> 6 & 1) + (given >> 7)
+                for channel in range(3):
+                    mean = frames[level, _RED + channel] // count if count else WHITE
+                    colors[own, channel] = file_colors[source, channel] if same else mean
+                _add_color(frames, level + 1, which, colors, own)
             if pruned:
                 at = own + 1
-            _add_child(parent, limits[level + 1], frame[_CODE] >> 3 * level & 7, pruned, values[own],
-                       colors[own if colored else 0])  # fmt: skip
         level += 1
     cursor[0], cursor[1], cursor[2] = level, at, cell
     return True
