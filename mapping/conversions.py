@@ -2,7 +2,8 @@
 mesh, points → signed distances → occupancy, surfels → points.
 
 Some conversions are methods or layers of their own: `TsdfMap.mesh` (signed distances → mesh), `TsdfMap.surface` (→
-points), `OccupancyMap.occupied_centres` (occupancy → points), `EsdfMap(occupancy)` (→ distances).
+points), `TsdfMap.integrate` (scans of which the sensor's place is known → signed distances), `SurfelMap.integrate`
+(points → surfels), `OccupancyMap.occupied_centres` (occupancy → points), `EsdfMap(occupancy)` (→ distances).
 """
 
 from __future__ import annotations
@@ -280,7 +281,9 @@ def points_to_mesh(
                which what lies farther than 3 `spacing_m` from all points is cut away again.
                "ball_pivoting": Bernardini et al. 1999, by Open3D; keeps the points as vertices, noise and all.
 
-    Raises `InvalidParameter` as `points_to_tsdf` does, and for fewer than four points where Open3D makes the mesh.
+    The mesh of a smooth surface lies within half of `spacing_m` of it ("poisson": within all of it), and each of the
+    points within `spacing_m` of the mesh. Raises `InvalidParameter` as `points_to_tsdf` does, and for fewer than four
+    points where Open3D makes the mesh.
     """
     size = require("spacing_m", spacing_m, 0.0, 100.0, "m")
     if method == "distance":

@@ -149,6 +149,21 @@ def test_distances_from_a_plate_are_exact_and_end_where_it_ends():
     assert beyond.max() <= 1.5 * SPACING + 1e-6
 
 
+@given(
+    seed=st.integers(0, 10_000),
+    radius=st.floats(0.15, 0.4),
+    spacing=st.floats(0.03, 0.06),
+    shift=st.tuples(*[st.floats(-1.0, 1.0)] * 3),
+)
+@settings(deadline=None, max_examples=8)
+def test_points_to_mesh_to_points_stay_near_whatever_the_ball(seed, radius, spacing, shift):
+    points, normals = ball(round(30.0 * (radius / spacing) ** 2), radius, seed)
+    mesh = points_to_mesh(points + shift, normals, spacing)
+    again = mesh_to_points(mesh, 0.4 * spacing, seed=seed)[0] - np.array(shift)
+    assert np.abs(np.linalg.norm(again - [0.3, 0.2, 0.1], axis=1) - radius).max() < 0.5 * spacing
+    assert cKDTree(again).query(points)[0].max() < 1.4 * spacing
+
+
 @pytest.mark.parametrize(("method", "near"), [("distance", 0.5), ("poisson", 1.0), ("ball_pivoting", 0.5)])
 def test_points_to_mesh_to_points_stay_near(method, near):
     points, normals = ball(4000)
