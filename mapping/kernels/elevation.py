@@ -20,7 +20,7 @@ Float: TypeAlias = Any
 # -- height map ------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fuse_heights(
     count: Array, mean: Array, spread: Array, lowest: Array, highest: Array, slots: Array, starts: Array, heights: Array
 ) -> None:
@@ -60,7 +60,7 @@ def fuse_heights(
 # -- elevation map ---------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def weigh(heights: Array, weights: Array, start: Int, end: Int) -> tuple[Float, Float]:
     """The weighted mean of heights [start, end) and the sum of weights: what a Kalman filter makes of them."""
     weight = 0.0
@@ -71,7 +71,7 @@ def weigh(heights: Array, weights: Array, start: Int, end: Int) -> tuple[Float, 
     return total / weight, weight
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fuse_elevations(
     mean: Array,
     variance: Array,
@@ -119,7 +119,7 @@ LOW, HIGH, WEIGHT, MEAN, SPREAD = 0, 1, 2, 3, 4
 """Columns of a *part*: the heights of a cell that no gap separates. SPREAD is Σ w·(z − mean)²."""
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def absorb(parts: Array, a: Int, b: Int) -> None:
     """Make part `a` of parts (m, 5) the union of parts a and b, in place (Chan et al. 1979)."""
     weight = parts[a, WEIGHT] + parts[b, WEIGHT]
@@ -131,7 +131,7 @@ def absorb(parts: Array, a: Int, b: Int) -> None:
     parts[a, WEIGHT] = weight
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def join_parts(parts: Array, n: Int, gap: Float, most: Int) -> Int:
     """Join those of the first n of parts (m, 5) that no gap separates, then the nearest until `most` are left.
 
@@ -165,7 +165,7 @@ def join_parts(parts: Array, n: Int, gap: Float, most: Int) -> Int:
     return kept
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fuse_parts(
     parts: Array,
     slots: Array,

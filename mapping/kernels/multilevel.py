@@ -23,7 +23,7 @@ MEAN, VARIANCE, DEPTH = 0, 1, 2
 """Columns of a patch."""
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def nearest_patch(patches: Array, n: Int, height: Float) -> Int:
     """Which of the first n of patches (m, 3) is nearest to a height [m]: 0 away from what it occupies; −1: none.
 
@@ -39,7 +39,7 @@ def nearest_patch(patches: Array, n: Int, height: Float) -> Int:
     return best
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def unite(patches: Array, a: Int, b: Int) -> None:
     """Make patch `a` of patches (m, 3) the surface of the higher of a and b, solid down to the lower bottom."""
     bottom = min(patches[a, MEAN] - patches[a, DEPTH], patches[b, MEAN] - patches[b, DEPTH])
@@ -48,7 +48,7 @@ def unite(patches: Array, a: Int, b: Int) -> None:
     patches[a, DEPTH] = patches[a, MEAN] - bottom
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def tidy(patches: Array, n: Int, most: Int) -> Int:
     """Put the first n of patches (m, 3) in ascending order, unite those that overlap, and the nearest beyond `most`.
 
@@ -75,7 +75,7 @@ def tidy(patches: Array, n: Int, most: Int) -> Int:
         n -= 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def update_cell(
     patches: Array, n: Int, most: Int, height: Float, variance: Float, depth: Float, least_variance: Float
 ) -> Int:
@@ -102,7 +102,7 @@ def update_cell(
     return tidy(patches, n, most)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fuse_patches(
     patches: Array,
     slots: Array,
@@ -176,7 +176,7 @@ def fuse_patches(
                     patches[slot, w, a, f] = np.nan
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def read_nearest(patches: Array, slots: Array, local: Array, heights: Array, found: Array) -> None:
     """The patch nearest to each height, as `nearest_patch` has it, in the cell (slots, local) (n,); in place.
 

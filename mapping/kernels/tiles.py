@@ -23,7 +23,7 @@ OUT_OF_ROOM, OUT_OF_RANGE = -1, -2
 """What `group_by_cell` answers when there are more tiles than room, and when a point is NaN or cannot be addressed."""
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def points_of_image(depth: Array, fx: float, fy: float, cx: float, cy: float, points: Array) -> Int:
     """The points of a depth image (H, W) float32 [m], 0 or NaN where there are none, in the camera's optical frame.
 
@@ -127,7 +127,7 @@ def group_by_cell(
     return n_tiles
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def locate_cells(table: Array, xy: Array, per_cell: float, slots: Array, local: Array) -> None:
     """Where the cell of each point (n, 2) [m] is stored: slot (−1: nowhere) and index within the tile, in place."""
     last_i = last_j = np.int64(BLOCK_LIMIT)
@@ -147,7 +147,7 @@ def locate_cells(table: Array, xy: Array, per_cell: float, slots: Array, local: 
         local[n] = (i & 7) << 3 | (j & 7)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def pose_variance(tiles: Array, row: Int, w: Int, cell_size: Float, pose: Array, quadratic: Array) -> Float:
     """The variance [m²] that an uncertain pose gives to all heights of a cell; it grows with the way to its centre.
 
@@ -165,7 +165,7 @@ def pose_variance(tiles: Array, row: Int, w: Int, cell_size: Float, pose: Array,
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def split_at_gaps(heights: Array, start: Int, end: Int, gap: Float, lows: Array, highs: Array) -> Int:
     """Cut heights [start, end) into intervals with more than `gap` [m] between them; the lowest come first.
 
