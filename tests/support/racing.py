@@ -17,9 +17,13 @@ Step = Callable[[int], object]
 
 @dataclass(frozen=True)
 class Times:
-    """How long each round took [ms]."""
+    """How long each round took [ms], by the clock and in the processor's time, of all threads together.
 
-    all_ms: Sequence[float]
+    The latter does not count what other programs take, nor does it gain by threads.
+    """
+
+    all_ms: list[float]
+    cpu_ms: list[float] = field(default_factory=list)
 
     @property
     def median(self) -> float:
@@ -29,8 +33,13 @@ class Times:
     def least(self) -> float:
         return float(np.min(self.all_ms))
 
+    @property
+    def cpu(self) -> float:
+        return float(np.median(self.cpu_ms)) if len(self.cpu_ms) else float("nan")
+
     def __str__(self) -> str:
-        return f"{self.median:.3g} ({self.least:.3g})"
+        cpu = f"; {self.cpu:.3g}" if self.cpu_ms else ""
+        return f"{self.median:.3g} ({self.least:.3g}{cpu})"
 
 
 def race(
@@ -43,17 +52,16 @@ def race(
     prepare: Step | None = None,
 ) -> tuple[Times, dict[str, Times]]:
     """Time `ours` in every round, and before every `peer_every`-th of them each peer. `prepare` is not timed."""
-    of_peers: dict[str, list[float]] = {name: [] for name in peers}
+    own = Clocked(ours)
+    of_peers = {name: Clocked(peer) for name, peer in peers.items()}
     n = -1
 
     def before() -> tuple[tuple[int], dict[str, object]]:
         nonlocal n
         n += 1
         if n % peer_every == 0:
-            for name, peer in peers.items():
-                started = time.perf_counter()
+            for peer in of_peers.values():
                 peer(n // peer_every)
-                of_peers[name].append(1e3 * (time.perf_counter() - started))
         if prepare is not None:
             prepare(n)
         return (n,), {}
@@ -61,9 +69,22 @@ def race(
     if prepare is None:
         ours(0)
     gc.collect()
-    benchmark.pedantic(ours, setup=before, rounds=rounds)
-    own = Times([1e3 * s for s in benchmark.stats.stats.data])
-    return own, {name: Times(taken) for name, taken in of_peers.items()}
+    benchmark.pedantic(own, setup=before, rounds=rounds)
+    return own.times, {name: peer.times for name, peer in of_peers.items()}
+
+
+class Clocked:
+    """A step that writes down how long it takes."""
+
+    def __init__(self, step: Step) -> None:
+        self.step = step
+        self.times = Times([], [])
+
+    def __call__(self, n: int) -> None:
+        started, at_work = time.perf_counter(), time.process_time()
+        self.step(n)
+        self.times.cpu_ms.append(1e3 * (time.process_time() - at_work))
+        self.times.all_ms.append(1e3 * (time.perf_counter() - started))
 
 
 @dataclass(frozen=True)
@@ -83,8 +104,10 @@ class Row:
     def cells(self) -> list[str]:
         theirs = "–" if self.theirs is None else str(self.theirs)
         share = None if self.theirs is None else self.ours.median / self.theirs.median
-        least = None if self.theirs is None else self.ours.least / self.theirs.least
-        ratio = "–" if share is None else f"{_share(share)} ({_share(least)})"
+        ratio = "–"
+        if self.theirs is not None:
+            least, cpu = self.ours.least / self.theirs.least, self.ours.cpu / self.theirs.cpu
+            ratio = f"{_share(share)} ({_share(least)}; {_share(cpu)})"
         must, met = [], True
         if self.must_ms is not None:
             must.append(f"{self.must_ms:g} ms")
@@ -121,7 +144,7 @@ class Table:
 
     def lines(self) -> list[str]:
         """The table, set in columns."""
-        head = ["case", "mode", "ours ms: median (least)", "peer", "its ms", "ours ÷ peer", "must", "bound ms"]
+        head = ["case", "mode", "ours ms: median (least; cpu)", "peer", "its ms", "ours ÷ peer", "must", "bound ms"]
         return columns([head, *(row.cells() for row in self.rows)]) + self.notes
 
 
