@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import log
@@ -10,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mapping.errors import MappingError
 from mapping.grid import as_points, point_to_ijk
 from mapping.kernels import octrees
 
@@ -70,6 +72,41 @@ class OctoMapTree:
         if not len(self.children):
             return np.full(len(nodes), np.nan, np.float32)
         return np.where(nodes < 0, np.float32(np.nan), self.log_odds[nodes])
+
+    def state(self) -> dict[str, Array]:
+        """Everything that makes this tree but its voxel size, as named arrays, to be saved with a map."""
+        state = {
+            "octomap.kind": np.array(self.kind),
+            "octomap.children": self.children,
+            "octomap.content": self.content,
+        }
+        return state if self.colors is None else {**state, "octomap.colors": self.colors}
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Array], voxel_size_m: float) -> OctoMapTree | None:
+        """The tree that `state()` described, None where there is none; raises `MappingError` where it does not fit."""
+        if "octomap.kind" not in state:
+            return None
+        kind, children, content = (state.get(f"octomap.{name}") for name in ("kind", "children", "content"))
+        colors = state.get("octomap.colors")
+        if (
+            str(kind) not in NODES
+            or children is None
+            or content is None
+            or children.dtype != np.uint8
+            or content.dtype not in (np.bool_, np.float32)
+            or not children.ndim == content.ndim == 1
+            or len(children) != len(content)
+            or not np.isfinite(content).all()
+            or (colors is not None and (colors.dtype != np.uint8 or colors.shape != (len(children), 3)))
+            or (content.dtype == np.float32 and (colors is None) == ("color" in (NODES[str(kind)].names or ())))
+        ):
+            raise MappingError("the saved map's OctoMap nodes do not fit each other")
+        try:
+            list_cells(children, 3)
+        except ValueError:
+            raise MappingError("the saved map's OctoMap nodes are not a tree") from None
+        return cls(str(kind), content.dtype == np.bool_, voxel_size_m, children, content, colors)
 
     def find(self, p_map: ArrayLike) -> NDArray[np.int64]:
         """The leaf (N,) that holds each point (N, 3) [m], −1 where there is none."""

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mapping.errors import InvalidParameter, MappingError
 from mapping.grid import split_ijk
 from mapping.occupancy import OccupancyMap
-from mapping.octomap import read_octomap, write_octomap
+from mapping.octomap import OctoMapTree, read_octomap, write_octomap
 from mapping.octomap_tree import HIGHEST, LOWEST
 from tests import naive_octomap as naive
 from tests.support.recordings import recording
@@ -141,6 +141,31 @@ def test_colours_and_exact_log_odds_can_be_asked_for(tmp_path):
     assert octomap.memory_bytes == 8 * len(octomap.children)
 
 
+@pytest.mark.parametrize("name", ["map.bt", "map.ot"])
+@pytest.mark.parametrize("colored", [False, True], ids=["plain", "colour"])
+def test_what_a_file_said_can_be_kept_as_arrays(tmp_path, name, colored):
+    tree = naive.random_tree(np.random.default_rng(13), VALUES, colored)
+    kind = "ColorOcTree" if colored else "OcTree"
+    binary = name == "map.bt"
+    content = naive.write_binary(tree, "0.05", kind) if binary else naive.write_full(tree, "0.05", kind)
+    (tmp_path / name).write_bytes(content)
+    layer = read_octomap(tmp_path / name)
+    state = layer.octomap.state()
+    layer.octomap = OctoMapTree.from_state(state, layer.voxel_size_m)
+    assert again(layer, tmp_path / name) == content
+    assert OctoMapTree.from_state({}, 0.05) is None
+    damaged = {
+        "kind": np.array("Tree"), "children": state["octomap.children"][:-1], "content": np.full(3, np.nan, np.float32),
+        "colors": np.zeros((1, 3), np.uint8),
+    }  # fmt: skip
+    for field, value in damaged.items():
+        with pytest.raises(MappingError, match="saved map's OctoMap nodes"):
+            OctoMapTree.from_state({**state, f"octomap.{field}": value}, 0.05)
+    loop = {**state, "octomap.children": np.full_like(state["octomap.children"], 255)}
+    with pytest.raises(MappingError, match="not a tree"):
+        OctoMapTree.from_state(loop, 0.05)
+
+
 # -- changed since -----------------------------------------------------------------------------------------
 
 
@@ -244,12 +269,12 @@ def test_colours_of_another_shape_or_for_a_bt_file_are_refused(tmp_path):
 # -- OctoMap's own tools -----------------------------------------------------------------------------------
 
 
-def tool(name: str, *arguments) -> None:
-    """Run one of OctoMap's programs; the test is skipped, saying so, where they are not installed."""
+def tool(name: str, *arguments) -> str:
+    """What one of OctoMap's programs says; the test is skipped, saying so, where they are not installed."""
     program = shutil.which(name)
     if program is None:
         pytest.skip(f"{name} is not installed (Debian package octomap-tools)")
-    subprocess.run([program, *map(str, arguments)], check=True, capture_output=True)
+    return subprocess.run([program, *map(str, arguments)], check=True, capture_output=True, text=True).stdout
 
 
 @pytest.mark.parametrize("suffix", [".bt", ".bt.ot", ".bt_ml.ot"])
@@ -267,6 +292,15 @@ def test_convert_octree_makes_the_same_of_a_file_as_reading_and_writing_it(tmp_p
     full = read_octomap(tmp_path / "theirs.ot")
     assert again(full, tmp_path / "again.ot") == (tmp_path / "theirs.ot").read_bytes()
     assert again(full, tmp_path / "again.bt") == path.read_bytes()
+
+
+def test_compare_octrees_finds_no_difference_between_ours_and_theirs(tmp_path):
+    tool("graph2tree", "-i", recording("octomap_maps/spherical_scan.graph"), "-o", tmp_path / "map.bt", "-res", "0.1")
+    layer = read_octomap(tmp_path / "map.bt.ot")
+    layer.octomap = None
+    assert again(layer, tmp_path / "ours.ot") != (tmp_path / "map.bt.ot").read_bytes()
+    said = tool("compare_octrees", tmp_path / "map.bt.ot", tmp_path / "ours.ot")
+    assert abs(float(said.split("KLD:")[1].split()[0])) < 0.1  # sum over 4,926 leaves, of rounding to steps
 
 
 def test_convert_octree_opens_our_colours(tmp_path):
