@@ -93,7 +93,8 @@ def new_table(block_ijk: NDArray[np.int32], n_blocks: int, capacity: int) -> NDA
 class BlockStore:
     """Blocks of voxels, found by a hash of their index, each field an array of its own; grows by doubling.
 
-    fields        name → dtype; a sub-array dtype such as `("u2", 3)` gives a field of shape (capacity, n, 3) for n voxels a block
+    fields        name → dtype; a sub-array dtype such as `("u2", 3)` gives a field of shape (capacity, n, 3) for blocks
+                  of n voxels
     voxel_size_m  edge of a voxel [m]
     fill          value of a field in a new block (default 0), such as the code of *unknown*
     edge, axes    voxels along a block's edge, and axes that it extends along: 8³ by default; (8, 2) gives flat tiles of

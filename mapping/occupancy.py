@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from math import log
 from pathlib import Path
@@ -15,11 +15,12 @@ from mapping import octree
 from mapping.cells import Cells, CellStore
 from mapping.errors import InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
-from mapping.grid import as_blocks, as_points, ijk_to_centre, join_ijk
+from mapping.grid import BLOCK_EDGE, LOCAL_IJK, as_blocks, as_points, ijk_to_centre, join_ijk
 from mapping.kernels import cells, occupancy, visibility
 from mapping.kernels.cells import UNKNOWN as UNKNOWN_BYTE
 from mapping.layer import Changed, MapLayer, require
 from mapping.scanning import Marks, ScanBlocks, cast_rays
+from mapping.sight import Hits, first_hits
 from mapping.view import DepthView, as_pose
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ class OccupancyMap(MapLayer):
     """
 
     kind: ClassVar[str] = "occupancy"
+    store: CellStore  # type: ignore[assignment]  # a store of its own kind, with what the contract asks of a store
 
     octomap: OctoMapTree | None = None
     """The OctoMap file that the map was read from: exact log-odds and colours of what has not changed since."""
@@ -191,6 +193,52 @@ class OccupancyMap(MapLayer):
         cell = Cells(as_blocks(cell_ijk), np.asarray(level, np.uint8), np.asarray(evidence, np.int8))
         self.store.fill(cell, self.revision)
 
+    def clear_box(self, lo: ArrayLike, hi: ArrayLike) -> Changed:
+        """Forget the voxels whose centres lie in the box from corner `lo` to `hi` (3,) [m]: they become unknown."""
+        low, high = _corners(lo, hi)
+        return self._clear(low, high, lambda centres: ((centres >= low) & (centres <= high)).all(axis=-1))
+
+    def clear_sphere(self, centre: ArrayLike, radius_m: float) -> Changed:
+        """Forget the voxels whose centres lie within `radius_m` of `centre` (3,) [m]: they become unknown."""
+        middle, radius = _ball(centre, radius_m)
+        return self._clear(
+            middle - radius, middle + radius, lambda centres: np.linalg.norm(centres - middle, axis=-1) <= radius
+        )
+
+    def _clear(self, low: Array, high: Array, inside: Callable[[Array], Any]) -> Changed:
+        edge = self.block_size_m
+        blocks = self.block_ijk
+        near = ((blocks + 1) * edge > low).all(axis=1) & (blocks * edge < high).all(axis=1)
+        blocks = blocks[near]
+        evidence = self.evidence_of(blocks)
+        for n, block in enumerate(blocks):
+            evidence[n, inside(ijk_to_centre(block * BLOCK_EDGE + LOCAL_IJK, self.voxel_size_m))] = UNKNOWN_BYTE
+        return self.set_evidence(blocks, evidence)
+
+    def merge(self, other: OccupancyMap) -> Changed:
+        """Add another map's evidence to this one's: log-odds are summed and clamped, as if one map had seen all.
+
+        Both must be in the same frame with the same voxels; the sum is that of a single map as long as no clamp cut off
+        evidence on the way. Raises `InvalidParameter` on another voxel size.
+        """
+        if other.voxel_size_m != self.voxel_size_m:
+            raise InvalidParameter(f"other: expected voxels of {self.voxel_size_m} m, got {other.voxel_size_m} m")
+        blocks = other.block_ijk
+        revision = self.revision + 1
+        changed = [
+            self.store.write(chunk, self._sum(chunk, other), revision)
+            for chunk in np.array_split(blocks, max(1, len(blocks) // 1024))
+        ]
+        self.revision = revision
+        return Changed(blocks[np.concatenate(changed)], self.block_size_m)
+
+    def _sum(self, blocks: NDArray[np.int32], other: OccupancyMap) -> NDArray[np.int8]:
+        ours, theirs = self.evidence_of(blocks), other.evidence_of(blocks)
+        scaled = np.rint(theirs * (other.log_odds_step / self.log_odds_step))
+        total = np.where(ours == UNKNOWN_BYTE, 0, ours) + scaled
+        total = np.clip(total, self.lowest_evidence, self.highest_evidence)
+        return np.where(theirs == UNKNOWN_BYTE, ours, total).astype(np.int8)
+
     # -- questions ----------------------------------------------------------------------------------------
     def query(
         self, p_map: ArrayLike, *, depth: int = FINEST, rule: Literal["max", "mean"] = "max"
@@ -218,22 +266,42 @@ class OccupancyMap(MapLayer):
 
     def classify(self, p_map: ArrayLike) -> NDArray[np.int8]:
         """What is at each point (N, 3) [m]: OCCUPIED 1, FREE 0 or UNKNOWN −1, int8 (N,)."""
-        return _classes(self._values(p_map))
+        return classes_of(self._values(p_map))
 
     def box(self, lo: ArrayLike, hi: ArrayLike) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
         """The classes of all voxels that meet the box from corner `lo` to `hi` (3,) [m], dense.
 
         Returns int8 (nx, ny, nz) of OCCUPIED, FREE, UNKNOWN, and the voxel ijk (3,) of its first element.
         """
-        low, high = np.asarray(lo, np.float64), np.asarray(hi, np.float64)
-        if low.shape != (3,) or high.shape != (3,) or not (low < high).all():
-            raise InvalidParameter(
-                f"lo, hi: expected corners (3,) with lo < hi, got {low.tolist()} and {high.tolist()}"
-            )
+        low, high = _corners(lo, hi)
         first = np.floor(low / self.voxel_size_m + 1e-6).astype(np.int64)
         beyond = np.ceil(high / self.voxel_size_m - 1e-6).astype(np.int64)
         nx, ny, nz = (int(n) for n in np.maximum(beyond - first, 1))
-        return _classes(self.evidence_in(first, (nx, ny, nz))), first
+        return classes_of(self.evidence_in(first, (nx, ny, nz))), first
+
+    def sphere(self, centre: ArrayLike, radius_m: float) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+        """The classes (N,) of all voxels whose centres (N, 3) [m] lie within `radius_m` of `centre` (3,) [m]."""
+        middle, radius = _ball(centre, radius_m)
+        classes, first = self.box(middle - radius, middle + radius)
+        centres = ijk_to_centre(np.moveaxis(np.indices(classes.shape), 0, -1) + first, self.voxel_size_m)
+        inside = np.linalg.norm(centres - middle, axis=-1) <= radius
+        return classes[inside], centres[inside]
+
+    def cast(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        max_range_m: float | None = None,
+        *,
+        stop_at_unknown: bool = False,
+    ) -> Hits:
+        """What rays from `origins` (N, 3) or (3,) [m] along `directions` (N, 3) or (3,) meet first.
+
+        max_range_m     where rays end; default the map's own
+        stop_at_unknown whether a ray ends at the first voxel of which nothing is known; otherwise it goes on through
+        """
+        reach = self.max_range_m if max_range_m is None else max_range_m
+        return first_hits(self, origins, directions, reach, stop_at_unknown=stop_at_unknown)
 
     def evidence_in(self, first: ArrayLike, shape: tuple[int, int, int]) -> NDArray[np.int8]:
         """The evidence of the voxels from `first` (3,) on, dense, int8 of `shape`; −128 unknown, ≥ 0 occupied."""
@@ -287,7 +355,22 @@ class OccupancyMap(MapLayer):
         return values
 
 
-def _classes(values: NDArray[np.int8]) -> NDArray[np.int8]:
+def _corners(lo: ArrayLike, hi: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    low, high = np.asarray(lo, np.float64), np.asarray(hi, np.float64)
+    if low.shape != (3,) or high.shape != (3,) or not (low < high).all():
+        raise InvalidParameter(f"lo, hi: expected corners (3,) with lo < hi, got {low.tolist()} and {high.tolist()}")
+    return low, high
+
+
+def _ball(centre: ArrayLike, radius_m: float) -> tuple[NDArray[np.float64], float]:
+    middle = np.asarray(centre, np.float64)
+    if middle.shape != (3,) or not np.isfinite(middle).all():
+        raise InvalidParameter(f"centre: expected a point (3,), got {middle.tolist()}")
+    return middle, require("radius_m", radius_m, 0.0, 1e4, "m")
+
+
+def classes_of(values: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Evidence of any shape as OCCUPIED, FREE or UNKNOWN."""
     classes = (values >= 0).astype(np.int8)
     classes[values == UNKNOWN_BYTE] = UNKNOWN
     return classes

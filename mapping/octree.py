@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -23,28 +22,12 @@ FINEST = 16
 """The level of OctoMap's tree at which nodes are voxels; at level d they are 2^(16 − d) voxels wide."""
 
 
-class Leaf(NamedTuple):
-    """A cube [m]: its centre (3,), its edge, and the probability that it is occupied."""
-
-    centre: NDArray[np.float64]
-    size_m: float
-    probability: float
-
-
 class Leaves(NamedTuple):
-    """The leaves of an octree: centres (N, 3) [m], edges `size_m` (N,), `probability` (N,) that they are occupied.
-
-    Iterating gives them one by one.
-    """
+    """The leaves of an octree: centres (N, 3) [m], edges `size_m` (N,), `probability` (N,) that they are occupied."""
 
     centre: NDArray[np.float64]
     size_m: NDArray[np.float64]
     probability: NDArray[np.float64]
-
-    def one_by_one(self) -> Iterator[Leaf]:
-        """Each leaf."""
-        for centre, size_m, probability in zip(self.centre, self.size_m, self.probability, strict=True):
-            yield Leaf(centre, float(size_m), float(probability))
 
 
 def require_depth(depth: int) -> int:
@@ -121,7 +104,7 @@ def leaves(occupancy: OccupancyMap, depth: int = FINEST) -> Leaves:
         corners, edges, values = _coarsened(corners, edges, values, finest)
     size = occupancy.voxel_size_m
     centre = (corners + 0.5 * edges[:, None]) * size
-    return Leaves(centre, edges * size, occupancy.probabilities[values.view(np.uint8)])
+    return Leaves(centre, np.asarray(edges * size, np.float64), occupancy.probabilities[values.view(np.uint8)])
 
 
 def _coarsened(corners: Array, edges: Array, values: Array, finest: int) -> tuple[Array, Array, Array]:

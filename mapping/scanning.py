@@ -38,30 +38,31 @@ def cast_rays(
     """
     pose = np.concatenate([T_map_sensor.rotation.ravel(), T_map_sensor.translation])
     origin = T_map_sensor.translation
-    ends, whole = np.empty(p_sensor.shape), np.empty(len(p_sensor), np.bool_)
-    if not beams.place_beams(p_sensor, pose, np.inf if discretize else max_range_m, ends, whole):
+    ends, whole, box = np.empty(p_sensor.shape), np.empty(len(p_sensor), np.bool_), np.empty((2, 3))
+    snap = voxel_size_m if discretize else 0.0
+    if not beams.place_beams(p_sensor, pose, max_range_m, snap, ends, whole, box):
         raise InvalidObservation("p_sensor: expected finite points, got NaN or infinity")
-    if discretize:
-        seen = np.full((1 << (2 * len(ends)).bit_length(), 3), np.iinfo(np.int64).min)
-        n = beams.thin_out(ends, origin, max_range_m, voxel_size_m, seen, whole)
-        ends, whole = ends[:n], whole[:n]
-    lowest, highest = (reach(ends, axis=0, initial=start) for reach, start in ((np.min, np.inf), (np.max, -np.inf)))
-    corners = np.stack([np.minimum(lowest, origin), np.maximum(highest, origin)])
-    low, high = point_to_ijk(corners, voxel_size_m).astype(np.int64)
+    low, high = point_to_ijk(box, voxel_size_m).astype(np.int64)
     low, high = low - 1, high + 1  # a beam's rounding may step aside
     n_blocks = (high >> 3) - (low >> 3) + 1
     if np.prod(n_blocks.astype(np.float64)) > _MOST_BLOCKS:
         return _cast_far(origin, ends, whole, voxel_size_m)
-    return _cast_near(origin, ends, whole, voxel_size_m, np.concatenate([low >> 3, n_blocks]))
+    layout = np.concatenate([low >> 3, n_blocks])
+    return _cast_near(origin, ends, whole, voxel_size_m, layout, thin=discretize)
 
 
-def _cast_near(origin: Array, ends: Array, whole: Array, voxel_size_m: float, layout: NDArray[np.int64]) -> Marks:
+def _cast_near(
+    origin: Array, ends: Array, whole: Array, voxel_size_m: float, layout: NDArray[np.int64], *, thin: bool
+) -> Marks:
     """Cast rays in a volume about the scan."""
     shape = tuple(int(n) for n in layout[3:])
     offsets = np.empty((3, 8 * max(shape)), np.int64)
     beams.list_offsets(layout, offsets)
     touched = np.zeros(int(np.prod(shape)), np.uint8)
     marks = np.zeros(BLOCK_VOXELS * len(touched), np.uint8)
+    if thin:
+        n = beams.thin_out(ends, whole, voxel_size_m, layout, offsets, marks)
+        ends, whole = ends[:n], whole[:n]
     beams.mark_beams(origin, ends, voxel_size_m, layout, offsets, marks, touched)
     beams.mark_ends(ends, whole, voxel_size_m, layout, offsets, marks, touched)
     rows = np.flatnonzero(touched)

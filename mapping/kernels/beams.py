@@ -27,60 +27,72 @@ PARTS = 8
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def place_beams(p_sensor: Array, pose: Array, max_range: Float, ends: Array, whole: Array) -> bool:
+def place_beams(
+    p_sensor: Array, pose: Array, max_range: Float, snap: Float, ends: Array, whole: Array, box: Array
+) -> bool:
     """The end of each beam in map, cut at `max_range`, in place; False where a point is not finite.
 
     p_sensor : (n, 3) [m]; pose (12,): R_map_sensor row by row, then t_map_sensor
+    snap     : a voxel's edge [m] to move ends to the centre of their voxel, before they are cut; 0 to leave them
     ends     : (n, 3) [m], filled; whole (n,) bool, filled: whether the beam was not cut
+    box      : (2, 3) [m], filled: lowest and highest corner of the box about the sensor and all ends
     """
     part = -(-p_sensor.shape[0] // PARTS)
     finite = np.ones(PARTS, np.bool_)
+    lows, highs = np.empty((PARTS, 3)), np.empty((PARTS, 3))
+    per_voxel = 1.0 / snap if snap > 0.0 else 0.0
     for p in prange(PARTS):
+        low_x, low_y, low_z = pose[9], pose[10], pose[11]
+        high_x, high_y, high_z = low_x, low_y, low_z
+        good = True
         for n in range(p * part, min(p_sensor.shape[0], (p + 1) * part)):
             a, b, c = p_sensor[n, 0], p_sensor[n, 1], p_sensor[n, 2]
-            length = np.sqrt(a * a + b * b + c * c)
-            if not length < np.inf:
-                finite[p] = False
+            x = pose[0] * a + pose[1] * b + pose[2] * c
+            y = pose[3] * a + pose[4] * b + pose[5] * c
+            z = pose[6] * a + pose[7] * b + pose[8] * c
+            if snap > 0.0:
+                x = (np.floor((x + pose[9]) * per_voxel) + 0.5) * snap - pose[9]
+                y = (np.floor((y + pose[10]) * per_voxel) + 0.5) * snap - pose[10]
+                z = (np.floor((z + pose[11]) * per_voxel) + 0.5) * snap - pose[11]
+            length = np.sqrt(x * x + y * y + z * z)
+            good &= length < np.inf
             whole[n] = length <= max_range
             share = 1.0 if whole[n] else max_range / length
-            for axis in range(3):
-                r = 3 * axis
-                ends[n, axis] = (pose[r] * a + pose[r + 1] * b + pose[r + 2] * c) * share + pose[9 + axis]
+            x, y, z = x * share + pose[9], y * share + pose[10], z * share + pose[11]
+            ends[n, 0], ends[n, 1], ends[n, 2] = x, y, z
+            low_x, low_y, low_z = min(low_x, x), min(low_y, y), min(low_z, z)
+            high_x, high_y, high_z = max(high_x, x), max(high_y, y), max(high_z, z)
+        lows[p, 0], lows[p, 1], lows[p, 2] = low_x, low_y, low_z
+        highs[p, 0], highs[p, 1], highs[p, 2] = high_x, high_y, high_z
+        finite[p] = good
+    for axis in range(3):
+        box[0, axis] = lows[:, axis].min()
+        box[1, axis] = highs[:, axis].max()
     return finite.all()
 
 
 @njit(cache=True)
-def thin_out(ends: Array, origin: Array, max_range: Float, voxel_size: Float, seen: Array, whole: Array) -> Int:
-    """One beam a voxel, to its centre: OctoMap's `computeDiscreteUpdate`; in place, returns how many are left.
+def thin_out(ends: Array, whole: Array, voxel_size: Float, layout: Array, offsets: Array, marks: Array) -> Int:
+    """Of beams that end in the same voxel keep one, in place at the front; returns how many there are.
 
-    ends  : (n, 3) [m, map] not cut yet; those left are moved to the front, cut at `max_range`; whole (n,) is filled
-    seen  : (m, 3) int64 scratch of a hash set, m a power of two ≥ 2 n, filled with the lowest number
+    ends (n, 3) [m, map] are centres of voxels where whole (n,) says so. Beams that were cut are kept, but for one like
+    the one before. marks: a volume in which nothing is marked, see `mark_beams`; the ends that are kept are marked.
     """
-    size = seen.shape[0]
     per_voxel = 1.0 / voxel_size
     count = 0
     for n in range(ends.shape[0]):
-        i = np.int64(np.floor(ends[n, 0] * per_voxel))
-        j = np.int64(np.floor(ends[n, 1] * per_voxel))
-        k = np.int64(np.floor(ends[n, 2] * per_voxel))
-        place = (i * 73856093 ^ j * 19349669 ^ k * 83492791) * 0x9E3779B1 >> 15 & (size - 1)
-        while seen[place, 0] != np.iinfo(np.int64).min and not (
-            seen[place, 0] == i and seen[place, 1] == j and seen[place, 2] == k
-        ):
-            place = (place + 1) & (size - 1)
-        if seen[place, 0] != np.iinfo(np.int64).min:
+        same = count > 0 and ends[n, 0] == ends[count - 1, 0] and ends[n, 1] == ends[count - 1, 1]
+        if same and ends[n, 2] == ends[count - 1, 2]:
             continue
-        seen[place, 0], seen[place, 1], seen[place, 2] = i, j, k
-        a, b, c = (i + 0.5) * voxel_size - origin[0], (j + 0.5) * voxel_size - origin[1], 0.0
-        c = (k + 0.5) * voxel_size - origin[2]
-        length = np.sqrt(a * a + b * b + c * c)
-        whole[count] = length <= max_range
-        share = 1.0 if whole[count] else max_range / length
-        ends[count, 0], ends[count, 1], ends[count, 2] = (
-            origin[0] + a * share,
-            origin[1] + b * share,
-            origin[2] + c * share,
-        )
+        if whole[n]:
+            at = offsets[0, np.int64(np.floor(ends[n, 0] * per_voxel)) - 8 * layout[0]]
+            at += offsets[1, np.int64(np.floor(ends[n, 1] * per_voxel)) - 8 * layout[1]]
+            at += offsets[2, np.int64(np.floor(ends[n, 2] * per_voxel)) - 8 * layout[2]]
+            if marks[at]:
+                continue
+            marks[at] = HIT
+        ends[count, 0], ends[count, 1], ends[count, 2] = ends[n, 0], ends[n, 1], ends[n, 2]
+        whole[count] = whole[n]
         count += 1
     return count
 
