@@ -158,7 +158,7 @@ def mesh_to_points(
     these are counter-clockwise, and the rows (N,) of these in `mesh.triangles`, for colours and labels.
 
     Every triangle gets its share of points to within one (systematic sampling of the summed areas); within a triangle
-    they are uniform (Osada et al., Shape Distributions, 2002, § 4.1). The same seed gives the same points.
+    they are uniform (Osada et al., Shape Distributions, 2002). The same seed gives the same points.
     """
     require("spacing_m", spacing_m, 0.0, 1e6, "m")
     random = np.random.default_rng(seed)
@@ -205,7 +205,8 @@ def estimate_normals(points: ArrayLike, seen_from: ArrayLike, neighbours: int = 
     """Unit normals (N, 3) float32 of points (N, 3) [m]: across the plane that fits each point's nearest `neighbours`
     best, on the side of `seen_from`, the sensor's place (3,) or that of each point (N, 3) [m].
 
-    Principal component analysis (Hoppe et al. 1992, § 3.1). Raises `InvalidParameter` for fewer than three points.
+    Principal component analysis (Hoppe et al., Surface reconstruction from unorganized points, 1992).
+    Raises `InvalidParameter` where `seen_from` does not fit, or for fewer points than `neighbours`, or those below 3.
     """
     places = as_points(points, "points")
     towards = np.asarray(seen_from, np.float64)
@@ -227,7 +228,7 @@ def points_to_tsdf(
     """Signed distances to the surface that points (N, 3) [m] with unit normals (N, 3) into free space lie on.
 
     A voxel's distance is the weighted mean of its distances from the planes of the nearest points, those within a voxel
-    or two of the nearest (implicit moving least squares: Kolluri, Provably good moving least squares, 2008, eq. 1).
+    or two of the nearest (implicit moving least squares: Kolluri, Provably good moving least squares, 2008).
     Known are voxels within `truncation_m` (default as `TsdfMap`) of the surface whose foot point on it lies no farther
     than 1.5 voxels from a point, so that holes wider than some three voxels stay open. All weigh 1.
     Points should lie no farther apart than about a voxel. For a mesh, take `mesh_to_points` first.

@@ -183,8 +183,8 @@ class SurfelMap(MapLayer):
         return np.sqrt(self._measure(p_map)[1])
 
     def likelihood(self, p_map: ArrayLike) -> NDArray[np.float64]:
-        """The score exp(−½ m²) (N,), 0 … 1, of each point (N, 3) [m], m its Mahalanobis distance (Biber & Straßer 2003,
-        § III); NaN where the voxel has no surfel. Its mean over a scan tells how well the scan fits the map."""
+        """The score exp(−½ m²) (N,), 0 … 1, of each point (N, 3) [m], m its Mahalanobis distance (Biber & Straßer
+        2003); NaN where the voxel has no surfel. Its mean over a scan tells how well the scan fits the map."""
         return np.asarray(np.exp(-0.5 * self._measure(p_map)[1]))
 
     def _measure(self, p_map: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -32,6 +32,8 @@ def sum_points(rows: Array, offsets: Array, voxel_ijk: Array, origin: Array, sum
 
     rows (n,) : each point's voxel, −1 = none;  offsets (n, 3) float32 : the point within it, 0 … 1
     voxel_ijk (k, 3);  origin (3,) : the sensor, in voxels
+
+    Plain sums about the voxel's centre do here: in double precision they lose nothing over the width of a voxel.
     """
     sums[:] = 0.0
     for n in range(rows.shape[0]):
@@ -73,7 +75,7 @@ def merge_moments(moments: Array, slots: Array, others: Array) -> None:
     """Merge moments `others` (k, 13) into the rows `slots` (k,) of `moments` (capacity, 13), in place.
 
     The pairwise update of Chan, Golub & LeVeque (Updating formulae and a pairwise algorithm for computing sample
-    variances, 1979, eq. 2.1); with one point in `others` it is Welford's (1962).
+    variances, 1979); with one point in `others` it is Welford's (1962).
     """
     for r in range(slots.shape[0]):
         to, of = moments[slots[r]], others[r]
