@@ -54,7 +54,7 @@ def write_octomap(occupancy: OccupancyMap, path: str | Path, *, colors: ColorsOf
     header = f"id {kind}\nsize {len(children)}\nres {resolution}\ndata\n"
     with Path(path).open("wb") as file:
         file.write((BINARY if binary else FULL) + b"\n" + _COMMENT + header.encode("ascii"))
-        file.write(stream.tobytes())
+        file.write(stream.view(np.uint8).data)
 
 
 def evidence_of_tree(occupancy: OccupancyMap, tree: OctoMapTree) -> NDArray[np.int8]:
@@ -98,7 +98,7 @@ def _cells(occupancy: OccupancyMap) -> tuple[Array, Array, Array]:
 def _merge(occupancy: OccupancyMap, origin: OctoMapTree | None, binary: bool) -> tuple[Array, Array, Array | None]:
     """The nodes of the map's tree: children, log-odds, and colours where `origin` has them."""
     codes, levels, contents = _cells(occupancy)
-    values_of = _log_odds_of_evidence(occupancy, binary)
+    value_of = _log_odds_of_evidence(occupancy, binary)
     if origin is None:
         of_file: tuple[Array, ...] = (np.empty(0, np.uint8), np.empty(0, np.int8), np.empty(0, np.float32))
         file_colors = None
@@ -109,12 +109,12 @@ def _merge(occupancy: OccupancyMap, origin: OctoMapTree | None, binary: bool) ->
     limits = np.zeros((octrees.DEPTH + 2, 2), np.float32)
     cursor = np.array([octrees.DEPTH, 1, 0])
     octree_merge.open_root(frames, of_file[0])
-    room = len(of_file[0]) + 64 * len(codes) + 64
+    room = len(of_file[0]) + len(codes) + 64 * occupancy.store.n_blocks + 64
     children, values = np.empty(room, np.uint8), np.empty(room, np.float32)
     colors = white if file_colors is None else np.empty((room, 3), np.uint8)
     while not octree_merge.merge(
-        children, values, colors, cursor, frames, limits, codes, levels, contents, occupancy.store.payload,
-        values_of,
+        children, values, colors, cursor, frames, limits,
+        codes, levels, contents, occupancy.store.payload, value_of,
         *of_file, white if file_colors is None else file_colors,
     ):  # fmt: skip
         children, values = (np.concatenate([array, np.empty_like(array)]) for array in (children, values))
@@ -148,6 +148,6 @@ def _binary(children: Array, log_odds: Array) -> Array:
 def _full(node: np.dtype[Any], children: Array, log_odds: Array, colors: Array | None) -> Array:
     nodes = np.empty(len(children), node)
     nodes["log_odds"], nodes["children"] = log_odds, children
-    if colors is not None:
-        nodes["color"] = colors
+    if "color" in (node.names or ()):
+        nodes["color"] = octrees.WHITE if colors is None else colors
     return nodes

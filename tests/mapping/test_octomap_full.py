@@ -119,7 +119,9 @@ def test_what_pyoctomap_appends_to_binary_files_is_left_out(tmp_path):
     theirs(points, np.full((50, 3), 9), tmp_path / "theirs.ot").writeBinary(str(tmp_path / "theirs.bt"))
     content = (tmp_path / "theirs.bt").read_bytes()
     assert b"\n#PYOC_" in content
-    assert again(read_octomap(tmp_path / "theirs.bt"), tmp_path / "ours.bt") == content[: content.index(b"\n#PYOC_")]
+    layer = read_octomap(tmp_path / "theirs.bt")
+    assert again(layer, tmp_path / "ours.bt") == content[: content.index(b"\n#PYOC_")]
+    assert set(again(layer, tmp_path / "ours.ot").split(b"data\n")[1][5::8]) == {255}  # a colour tree without colours
 
 
 def test_colours_and_exact_log_odds_can_be_asked_for(tmp_path):
@@ -195,6 +197,8 @@ def test_changed_maps_are_written_as_the_naive_merge_says(tmp_path_factory, seed
         lambda e: float(limits.get(e, np.float32(e * layer.log_odds_step))),
     )  # fmt: skip
     assert again(layer, path) == naive.write_full(expected, "0.05", kind)
+    blocks = layer.block_ijk
+    assert (read_octomap(path).evidence_of(blocks) == layer.evidence_of(blocks)).all()
 
 
 def test_leaves_that_did_not_change_keep_their_log_odds(tmp_path):
