@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from functools import cached_property
 from math import log
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,16 +15,24 @@ from mapping import octree
 from mapping.cells import Cells, CellStore
 from mapping.errors import InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
-from mapping.grid import BLOCK_EDGE, LOCAL_IJK, as_blocks, as_points, ijk_to_centre, join_ijk
+from mapping.grid import (
+    ADDRESSABLE_VOXELS,
+    BLOCK_EDGE,
+    LOCAL_IJK,
+    as_blocks,
+    as_points,
+    ijk_to_centre,
+    join_ijk,
+    point_to_ijk,
+    split_ijk,
+)
 from mapping.kernels import cells, occupancy, visibility
 from mapping.kernels.cells import UNKNOWN as UNKNOWN_BYTE
 from mapping.layer import Changed, MapLayer, require
+from mapping.octomap_tree import OctoMapTree
 from mapping.scanning import Marks, ScanBlocks, cast_rays
 from mapping.sight import Hits, first_hits
 from mapping.view import DepthView, as_pose
-
-if TYPE_CHECKING:
-    from mapping.octomap_tree import OctoMapTree
 
 Array: TypeAlias = NDArray[Any]
 
@@ -183,6 +191,17 @@ class OccupancyMap(MapLayer):
         changed = self.store.write(blocks, evidence, self.revision)
         return Changed(blocks[changed], self.block_size_m)
 
+    def assign(self, p_map: ArrayLike, evidence: ArrayLike) -> Changed:
+        """Replace the evidence of the voxels that hold points (N, 3) [m] by `evidence` (N,) or one for all, int8."""
+        points = as_points(p_map)
+        if not (np.isfinite(points).all() and (np.abs(points) < ADDRESSABLE_VOXELS * self.voxel_size_m).all()):
+            raise InvalidParameter("p_map: expected finite points within the map's addressable voxels")
+        of, local = split_ijk(point_to_ijk(points, self.voxel_size_m))
+        blocks, rows = np.unique(of, axis=0, return_inverse=True)
+        values = self.evidence_of(blocks)
+        values[rows.ravel(), local] = np.asarray(evidence, np.int8)
+        return self.set_evidence(blocks, values)
+
     def fill_cells(self, cell_ijk: ArrayLike, level: Array, evidence: Array) -> None:
         """Add whole cubes of the same evidence (K,) where nothing is known yet.
 
@@ -331,6 +350,17 @@ class OccupancyMap(MapLayer):
     def leaves(self, depth: int = FINEST) -> octree.Leaves:
         """The leaves of the octree, none finer than level `depth` (16: voxels): what is alike is one leaf."""
         return octree.leaves(self, depth)
+
+    def state(self) -> dict[str, Array]:
+        """Everything that makes this map, as named arrays; with what the OctoMap file said that it was read from."""
+        return {**super().state(), **({} if self.octomap is None else self.octomap.state())}
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Array]) -> Self:
+        """The map that `state()` described; raises `MappingError` where it is of another kind or incomplete."""
+        layer = super().from_state(state)
+        layer.octomap = OctoMapTree.from_state(state, layer.voxel_size_m)
+        return layer
 
     def write(self, path: str | Path) -> None:
         """Write an OctoMap file, `.bt` or `.ot` as its name ends; see `mapping.octomap`."""
