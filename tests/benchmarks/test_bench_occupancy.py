@@ -6,6 +6,7 @@ Run with `make bench`. The configurations are those that tests/mapping/test_mode
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from mapping.occupancy import OccupancyMap
 from tests.support import modes
+from tests.support.agreement import with_octomap
 from tests.support.building import LOOP, lidar_scans, rgbd_images
 from tests.support.modes import Beams, Configuration, beams_of
 from tests.support.racing import Table, bytes_per_ms, race
@@ -72,6 +74,16 @@ def bound_ms(make: Callable[[], OccupancyMap], fuse: Callable[[OccupancyMap, Any
         fuse(layer, item)
         blocks += len(layer.block_ijk)
     return 2 * 512 * blocks / len(seen[:4]) / bytes_per_ms()
+
+
+@pytest.mark.parametrize("configuration", [modes.LIDAR_5CM, modes.LIDAR_5CM_DISCRETISED], ids=str)
+def test_what_is_timed_says_what_octomap_says(
+    benchmark: BenchmarkFixture, table: Table, lidar_beams: list[Beams], tmp_path: Path, configuration: Configuration
+) -> None:
+    """Once, as it takes long: all scans that are timed here, not only the few that the tests compare."""
+    found = benchmark.pedantic(with_octomap, args=(configuration, lidar_beams, tmp_path), rounds=1)
+    table.notes += [f"lidar, rays, {configuration}, {len(lidar_beams)} scans: {found.lines()[0]}", *found.lines()[1:]]
+    assert found.share >= 0.999
 
 
 @pytest.mark.parametrize("discretise", [False, True], ids=["all beams", "discretised"])
