@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapping.errors import InvalidParameter
-from mapping.grid import BLOCK_EDGE, BlockStore, as_points
-from mapping.kernels import boxes, esdf, occupancy
+from mapping.grid import BLOCK_EDGE, BlockStore, as_points, read_only
+from mapping.kernels import esdf, nearest, sites
 from mapping.layer import Changed, MapLayer, require
 from mapping.occupancy import OccupancyMap
 from mapping.tsdf import TsdfMap
 
 Array: TypeAlias = NDArray[Any]
 
-_MOST_VOXELS = 24_000_000  # of one dense box; larger regions are done in parts
+_MOST_CELLS = 1 << 22  # blocks in the box of what is mended at once; larger regions are done in parts
 
 
 class EsdfMap(MapLayer):
@@ -53,39 +53,77 @@ class EsdfMap(MapLayer):
         self.truncation_m = require("truncation_m", truncation_m, size, 200.0 * size, "m (1 … 200 voxels)")
         self.source = source
         self._seen = 0
+        self._margin = int(np.ceil((self.truncation_m / size + 2.0) / BLOCK_EDGE))
+        self._values = _distances(size, self.truncation_m)
+        # A surface may pass a voxel beside the site of signed distances that tells of it.
+        beyond = int((self.truncation_m / size + 1.0) ** 2) + 1
+        self._far = beyond if isinstance(source, TsdfMap) else len(self._values) - 1
+        self._offsets = _offsets(self._margin, self._far)
+        self._planes = np.zeros((0, 2, 8), np.uint64)
+        self._reach = np.zeros((0, 2), np.int32)
+        self._deepest = np.zeros(2, np.int64)
         self.store = BlockStore({"distance": np.float32}, size, fill={"distance": np.nan})
 
     def parameters(self) -> dict[str, Any]:
         return {"voxel_size_m": self.voxel_size_m, "truncation_m": self.truncation_m}
 
+    @property
+    def memory_bytes(self) -> int:
+        return self.store.memory_bytes + self._planes.nbytes + self._reach.nbytes
+
     # -- following the source -----------------------------------------------------------------------------
     def update(self) -> Changed:
-        """Recompute what the source's changes since the last call can reach; returns the blocks changed."""
+        """Take over what changed in the source since the last call; returns the blocks whose distances changed."""
+        nothing = Changed(np.empty((0, 3), np.int32), self.block_size_m)
         if self.source is None or self.source.revision == self._seen:
-            return Changed(np.empty((0, 3), np.int32), self.block_size_m)
-        changes = self.source.changed_since(self._seen)
+            return nothing
+        blocks = self.source.changed_since(self._seen).blocks
         self._seen = self.source.revision
-        if not len(changes):
-            return Changed(np.empty((0, 3), np.int32), self.block_size_m)
-        reach = int(np.ceil(self._cap / BLOCK_EDGE))
-        low, high = changes.blocks.min(axis=0) - reach, changes.blocks.max(axis=0) + reach + 1
-        known = self.source.block_ijk
-        affected = known[((known >= low) & (known < high)).all(axis=1)]
-        slots = self.store.allocate(affected)
-        changed = np.zeros(len(affected), np.bool_)
-        for part in self._parts(affected, np.arange(len(affected))):
-            changed[part] = self._recompute(affected[part], slots[part])
-        return self._note(slots[changed])
+        if not len(blocks):
+            return nothing
+        self.store.allocate(blocks)
+        self._make_room()
+        read = self._read_classes if isinstance(self.source, OccupancyMap) else self._read_crossings
+        blocks, appeared, vanished = read(blocks)
+        if not len(blocks):
+            return nothing
+        parts = self._parts(blocks, np.arange(len(blocks)))
+        changed = [self._mend(blocks[part], appeared[part], vanished[part]) for part in parts]
+        return self._note(np.unique(np.concatenate(changed)))
 
-    @property
-    def _cap(self) -> int:
-        """Voxels within which a site can matter."""
-        return int(np.ceil(self.truncation_m / self.voxel_size_m)) + 1
+    def _read_classes(self, blocks: Array) -> tuple[Array, Array, Array]:
+        """The blocks (K, 3) of these whose voxels changed class, and the sites (K, 2, 8) that came and went."""
+        assert isinstance(self.source, OccupancyMap)
+        appeared, vanished = (np.empty((len(blocks), 2, 8), np.uint64) for _ in range(2))
+        sites.read_classes(self.source.evidence_of(blocks), self.store.find(blocks), self._planes, appeared, vanished)
+        rows = (appeared | vanished).any(axis=(1, 2))
+        return blocks[rows], appeared[rows], vanished[rows]
+
+    def _read_crossings(self, blocks: Array) -> tuple[Array, Array, Array]:
+        """The blocks (K, 3) whose surface may have moved, and the sites (K, 2, 8) that they had or have."""
+        assert isinstance(self.source, TsdfMap)
+        beside = [blocks + step for step in np.concatenate([np.eye(3, dtype=np.int32), -np.eye(3, dtype=np.int32)])]
+        blocks = np.unique(np.concatenate([blocks, *beside]), axis=0)
+        slots = self.store.find(blocks)
+        blocks, slots = read_only(blocks[slots >= 0]), slots[slots >= 0]
+        changed = np.empty((len(blocks), 2, 8), np.uint64)
+        fields = self.source.store.fields
+        sites.read_crossings(
+            self.source.store.table, fields["distance"], fields["weight"], blocks, slots, self._planes, changed
+        )
+        return blocks, changed, np.zeros_like(changed)
+
+    def _make_room(self) -> None:
+        """Let what is kept beside the store grow with it."""
+        missing = len(self.store.changed_at) - len(self._planes)
+        if missing:
+            self._planes = np.concatenate([self._planes, np.zeros((missing, 2, 8), np.uint64)])
+            self._reach = np.concatenate([self._reach, np.zeros((missing, 2), np.int32)])
 
     def _parts(self, blocks: Array, rows: Array) -> Iterator[Array]:
-        """Split the blocks at the middle of their box until each part's dense box is small enough."""
+        """Split the blocks at the middle of their box until the box of what each part can reach is small enough."""
         extent = np.ptp(blocks[rows], axis=0) + 1
-        if len(rows) == 1 or np.prod(extent.astype(np.float64) * BLOCK_EDGE + 2 * self._cap) <= _MOST_VOXELS:
+        if len(rows) == 1 or np.prod(extent + 4.0 * self._margin) <= _MOST_CELLS:
             yield rows
             return
         along = blocks[rows, int(extent.argmax())]
@@ -93,47 +131,45 @@ class EsdfMap(MapLayer):
         yield from self._parts(blocks, rows[lower])
         yield from self._parts(blocks, rows[~lower])
 
-    def _recompute(self, blocks: Array, slots: Array) -> NDArray[np.bool_]:
-        margin = BLOCK_EDGE * int(np.ceil((self._cap + 1) / BLOCK_EDGE))
-        first = blocks.min(axis=0).astype(np.int64) * BLOCK_EDGE - margin
-        shape = (blocks.max(axis=0) + 1).astype(np.int64) * BLOCK_EDGE + margin - first
-        field = self._from_occupancy if isinstance(self.source, OccupancyMap) else self._from_tsdf
-        changed = np.empty(len(blocks), np.bool_)
-        esdf.store_box(self.store.fields["distance"], slots, blocks, first, field(first, tuple(shape)), changed)
-        return changed
-
-    def _from_occupancy(self, first: Array, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        assert isinstance(self.source, OccupancyMap)
-        evidence = self.source.evidence_in(first, (shape[0], shape[1], shape[2]))
-        known = evidence != occupancy.UNKNOWN
-        occupied = evidence >= 0
-        outside, _ = self._transform(occupied)
-        inside, _ = self._transform(known & ~occupied)
-        half = np.float32(0.5)
-        voxels = np.where(occupied, half - np.sqrt(inside, dtype=np.float32), np.sqrt(outside, dtype=np.float32) - half)
-        distance = np.clip(voxels * np.float32(self.voxel_size_m), -self.truncation_m, self.truncation_m)
-        distance[~known] = np.nan
-        return np.asarray(distance, dtype=np.float32)
-
-    def _from_tsdf(self, first: Array, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        assert isinstance(self.source, TsdfMap)
-        store = self.source.store
-        weight, near = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        boxes.copy_box(weight, store.table, store.fields["weight"], first)
-        boxes.copy_box(near, store.table, store.fields["distance"], first)
-        near[weight == 0.0] = np.nan
-        before, behind = np.empty(shape, np.bool_), np.empty(shape, np.bool_)
-        esdf.find_crossings(near, before, behind)
-        distance = np.full(shape, np.nan, np.float32)
-        for sites, side in ((before, 1.0), (behind, -1.0)):
-            _, nearest = self._transform(sites)
-            esdf.measure_side(near, nearest, side, self.voxel_size_m, self.truncation_m, distance)
-        return distance
-
-    def _transform(self, sites: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        squared, nearest = np.empty(sites.shape, np.int32), np.empty(sites.shape, np.int32)
-        esdf.transform(sites, self._cap, squared, nearest)
-        return squared, nearest
+    def _mend(self, blocks: Array, appeared: Array, vanished: Array) -> Array:
+        """Mend all that sites in `blocks` (K, 3) that appeared and vanished (K, 2, 8) can reach; returns the slots of
+        the blocks changed."""
+        store = self.store
+        low = np.maximum(blocks.min(axis=0) - 2 * self._margin, store.block_ijk.min(axis=0)).astype(np.int64)
+        high = np.minimum(blocks.max(axis=0) + 2 * self._margin, store.block_ijk.max(axis=0))
+        grid = np.empty(high - low + 1, np.int32)
+        nearest.fill_grid(store.table, read_only(store.block_ijk), store.n_blocks, low, grid)
+        cells = blocks - low
+        targets = np.empty((min(store.n_blocks, grid.size), 3), np.int64)
+        room = 1 << 14
+        while True:
+            pairs = np.empty((room, 2), np.int32)
+            n_targets, n_pairs = sites.list_reached(
+                cells, appeared | vanished, self._offsets, self._reach, self._deepest, grid,
+                np.full_like(grid, -1), targets, pairs,
+            )  # fmt: skip
+            if n_pairs <= room:
+                break
+            room = n_pairs
+        targets, pairs = targets[:n_targets], pairs[:n_pairs]
+        changed = np.empty(n_targets, np.bool_)
+        if isinstance(self.source, TsdfMap):
+            source = self.source.store
+            esdf.mend_from_crossings(
+                store.fields["distance"], self._reach, self._planes, source.table, source.fields["distance"],
+                source.fields["weight"], self._far, self.voxel_size_m, self.truncation_m, grid, low, self._offsets,
+                targets, changed,
+            )  # fmt: skip
+        else:
+            first_of = np.concatenate([[0], np.cumsum(np.bincount(pairs[:, 0], minlength=n_targets))])
+            changed_of = pairs[np.argsort(pairs[:, 0], kind="stable"), 1]
+            esdf.mend_from_classes(
+                store.fields["distance"], self._reach, self._planes, self._values, self.voxel_size_m, grid,
+                self._offsets, targets, changed_of, first_of, cells, appeared, vanished, changed,
+            )  # fmt: skip
+        slots = grid[tuple(targets.T)]
+        self._deepest = np.maximum(self._deepest, self._reach[slots].max(axis=0))
+        return np.asarray(slots[changed])
 
     # -- questions ----------------------------------------------------------------------------------------
     @overload
@@ -154,3 +190,22 @@ class EsdfMap(MapLayer):
             self.store.table, self.store.fields["distance"], self.voxel_size_m, points, values, gradients
         )
         return (values, gradients) if gradient else values
+
+
+def _distances(voxel_size_m: float, truncation_m: float) -> NDArray[np.float32]:
+    """The distance [m] from a surface that each squared distance [voxels²] between voxel centres means, up to the first
+    that is truncated."""
+    size, longest = np.float32(voxel_size_m), np.float32(truncation_m)
+    squared = np.arange(int((truncation_m / voxel_size_m + 1.5) ** 2) + 1)
+    distances = np.minimum((np.sqrt(squared, dtype=np.float32) - np.float32(0.5)) * size, longest)
+    return np.asarray(distances[: int(np.argmax(distances >= longest)) + 1], dtype=np.float32)
+
+
+def _offsets(margin: int, far: int) -> NDArray[np.int64]:
+    """(m, 4) the way to each block that can hold a voxel nearer than `far` [voxels²], and the smallest squared distance
+    to one, sorted by it."""
+    steps = np.indices((2 * margin + 1,) * 3).reshape(3, -1).T - margin
+    apart = np.maximum(BLOCK_EDGE * np.abs(steps) - (BLOCK_EDGE - 1), 0)
+    squared = (apart**2).sum(axis=1)
+    order = np.argsort(squared, kind="stable")
+    return np.asarray(np.column_stack([steps, squared])[order[squared[order] < far]], dtype=np.int64)

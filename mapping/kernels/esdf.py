@@ -1,9 +1,4 @@
-"""Exact Euclidean distances in a dense box, up to a cap, and their way in and out of hashed blocks.
-
-The transform is separable: nearest site along z, then lower envelopes of parabolas along y and x (Felzenszwalb &
-Huttenlocher, Distance Transforms of Sampled Functions, 2012). It carries the nearest site along, so that the surface
-may lie between voxels.
-"""
+"""Signed distances in hashed blocks: mended where sites changed, interpolated where they are asked for."""
 
 from __future__ import annotations
 
@@ -14,194 +9,257 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from mapping.kernels.hashing import BLOCK_LIMIT, lookup
+from mapping.kernels.nearest import find_nearest, gap
+from mapping.kernels.sites import BEHIND, FREE, OCCUPIED
 from mapping.kernels.surface import slope
 
 Array: TypeAlias = NDArray[Any]
 Int: TypeAlias = Any
 Float: TypeAlias = Any
 
-FAR = 1 << 28
-"""Squared distance [voxels²] of a voxel that has no site within the cap."""
+_MANY = 128
+"""So many changes of sites cost as much as looking for the nearest sites of all voxels of a block."""
 
 
 @njit(cache=True)
-def lower_envelope(heights: Array, n: Int, places: Array, borders: Array, nearest: Array) -> None:
-    """For each q of 0 … n − 1 the p that minimises (q − p)² + heights[p]; fills nearest (n,), −1 where there is no
-    finite height. places (n,) int64 and borders (n + 1,) float64 are scratch."""
-    top = -1
-    for q in range(n):
-        if heights[q] >= FAR:
+def decode(
+    stored: Array, targets: Array, side: Float, voxel_size: Float, values: Array, squared: Array, wanted: Array
+) -> bool:
+    """The squared distances (512,) int32 [voxels²] behind a block's stored ones (512,) [m], filled; −1: no target.
+
+    targets : (8,) uint64, the voxels that lie on this side, 1 outside and −1 inside
+    values  : (far + 1,) float32, see `mend_from_classes`
+    wanted  : (512,) bool, filled: targets of which no distance on this side is stored; their squared one is `far`
+
+    Returns whether there is any target.
+    """
+    far = values.shape[0] - 1
+    some = np.uint64(0)
+    for x in range(8):
+        some |= targets[x]
+    if some == 0:
+        return False
+    for w in range(512):
+        is_target = (targets[w >> 6] >> np.uint64(w & 63)) & np.uint64(1) != 0
+        distance = side * stored[w]
+        root = np.float64(distance) / voxel_size + 0.5
+        known = distance > np.float32(0.0)
+        wanted[w] = is_target & (not known)
+        whole = np.int32(root * root + 0.5) if known & (distance < values[far]) else np.int32(far)
+        squared[w] = whole if is_target else np.int32(-1)
+    return True
+
+
+@njit(cache=True)
+def apply_sites(words: Array, toward: Array, reach: Int, vanish: bool, far: Int, squared: Array, wanted: Array) -> None:
+    """Let sites, bits (8,) uint64 of a block, appear or vanish for the 512 voxels of another, in place.
+
+    toward  : (3,) from the first voxel of the other block to that of the sites'
+    reach   : sites farther than this squared distance from all voxels of the other block change nothing
+    squared : (512,) int32; a site that appears comes to all voxels to which it is nearer
+    wanted  : (512,) bool; a site that vanishes leaves all voxels that are as far as it
+    """
+    planar = np.empty(8, np.int32)
+    for bit in range(512):
+        if (words[bit >> 6] >> np.uint64(bit & 63)) & np.uint64(1) == 0:
             continue
-        while top >= 0:
-            p = places[top]
-            meet = (heights[q] + q * q - heights[p] - p * p) / (2.0 * (q - p))
-            if meet > borders[top]:
-                break
-            top -= 1
-        top += 1
-        places[top] = q
-        borders[top] = meet if top > 0 else -np.inf
-    at = 0
-    for q in range(n):
-        if top < 0:
-            nearest[q] = -1
+        s0, s1, s2 = toward[0] + (bit >> 6), toward[1] + ((bit >> 3) & 7), toward[2] + (bit & 7)
+        if gap(s0, s0, 0, 7) ** 2 + gap(s1, s1, 0, 7) ** 2 + gap(s2, s2, 0, 7) ** 2 > reach:
             continue
-        while at < top and borders[at + 1] < q:
-            at += 1
-        nearest[q] = places[at]
+        for z in range(8):
+            planar[z] = (s2 - z) ** 2
+        for row in range(64):
+            across = np.int32((s0 - (row >> 3)) ** 2 + (s1 - (row & 7)) ** 2)
+            for z in range(8):
+                w = row << 3 | z
+                away = np.int32(planar[z] + across)
+                if vanish:
+                    wanted[w] |= (away == squared[w]) & (away < far)
+                else:
+                    squared[w] = min(squared[w], away)
 
 
 @njit(cache=True, parallel=True)
-def transform(sites: Array, cap: Int, squared: Array, nearest: Array) -> None:
-    """The nearest site of each voxel of a dense box.
-
-    sites   : (nx, ny, nz) bool
-    cap     : sites farther than this [voxels] are none
-    squared : (nx, ny, nz) int32, filled: squared distance [voxels²], FAR where there is no site within the cap
-    nearest : (nx, ny, nz) int32, filled: the site as x · ny · nz + y · nz + z, −1 where there is none
-    """
-    nx, ny, nz = sites.shape
-    for x in prange(nx):
-        longest = max(ny, nz)
-        heights = np.empty(longest, np.int64)
-        places = np.empty(longest, np.int64)
-        borders = np.empty(longest + 1, np.float64)
-        best = np.empty(longest, np.int64)
-        along_z = np.empty((ny, nz), np.int32)
-        some = False
-        for y in range(ny):
-            last = -FAR
-            for z in range(nz):
-                if sites[x, y, z]:
-                    last = z
-                    some = True
-                along_z[y, z] = last if z - last <= cap else -1
-            last = FAR
-            for z in range(nz - 1, -1, -1):
-                if sites[x, y, z]:
-                    last = z
-                if last - z <= cap and (along_z[y, z] < 0 or last - z < z - along_z[y, z]):
-                    along_z[y, z] = last
-        if not some:
-            squared[x] = FAR
-            nearest[x] = -1
-            continue
-        for z in range(nz):
-            for y in range(ny):
-                there = along_z[y, z]
-                heights[y] = FAR if there < 0 else (z - there) ** 2
-            lower_envelope(heights, ny, places, borders, best)
-            for y in range(ny):
-                p = best[y]
-                if p < 0 or (y - p) ** 2 + heights[p] > cap * cap:
-                    squared[x, y, z] = FAR
-                    nearest[x, y, z] = -1
-                else:
-                    squared[x, y, z] = (y - p) ** 2 + heights[p]
-                    nearest[x, y, z] = x * ny * nz + p * nz + along_z[p, z]
-    for y in prange(ny):
-        heights_x = np.empty(nx, np.int64)
-        from_x = np.empty(nx, np.int32)
-        places_x = np.empty(nx, np.int64)
-        borders_x = np.empty(nx + 1, np.float64)
-        best_x = np.empty(nx, np.int64)
-        for z in range(nz):
-            for x in range(nx):
-                heights_x[x] = squared[x, y, z]
-                from_x[x] = nearest[x, y, z]
-            lower_envelope(heights_x, nx, places_x, borders_x, best_x)
-            for x in range(nx):
-                p = best_x[x]
-                if p < 0 or (x - p) ** 2 + heights_x[p] > cap * cap:
-                    squared[x, y, z] = FAR
-                    nearest[x, y, z] = -1
-                else:
-                    squared[x, y, z] = (x - p) ** 2 + heights_x[p]
-                    nearest[x, y, z] = from_x[p]
-
-
-@njit(cache=True, parallel=True)
-def find_crossings(distance: Array, before: Array, behind: Array) -> None:
-    """Which voxels of dense signed distances (nx, ny, nz), NaN where unknown, have a face neighbour of the other sign.
-
-    before, behind : (nx, ny, nz) bool, filled: such voxels with distance ≥ 0, < 0
-    """
-    nx, ny, nz = distance.shape
-    for x in prange(nx):
-        for y in range(ny):
-            for z in range(nz):
-                here = distance[x, y, z]
-                inside = here < 0.0
-                crossing = False
-                for face in range(6):
-                    step = 1 if face & 1 else -1
-                    a = x + (step if face >> 1 == 0 else 0)
-                    b = y + (step if face >> 1 == 1 else 0)
-                    c = z + (step if face >> 1 == 2 else 0)
-                    if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz:
-                        there = distance[a, b, c]
-                        crossing |= not np.isnan(there) and (there < 0.0) != inside
-                crossing &= not np.isnan(here)
-                before[x, y, z] = crossing and not inside
-                behind[x, y, z] = crossing and inside
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def measure_side(
-    near: Array, nearest: Array, side: Float, voxel_size: Float, truncation: Float, distance: Array
+def mend_from_classes(
+    distance: Array,
+    reach: Array,
+    planes: Array,
+    values: Array,
+    voxel_size: Float,
+    grid: Array,
+    offsets: Array,
+    targets: Array,
+    changed_of: Array,
+    first_of: Array,
+    cells: Array,
+    appeared: Array,
+    vanished: Array,
+    changed: Array,
 ) -> None:
-    """Distance to the surface beside the nearest site, for the voxels before (side 1) or behind it (−1), in place.
+    """Make the distances of blocks right after sites appeared and vanished, in place.
 
-    near     : (nx, ny, nz) float32, signed distances of the source [m], NaN where unknown
-    nearest  : (nx, ny, nz) int32 from `transform`, of the sites on this side
-    distance : (nx, ny, nz) float32 [m], written on this side only
-
-    The surface is taken as the plane that the site's distance and gradient give, at the foot of its perpendicular.
+    distance   : (capacity, 512) float32 [m]: positive in FREE voxels, negative in OCCUPIED ones, NaN in others
+    reach      : (capacity, 2) int32, written: the largest squared distance to an OCCUPIED, to a FREE voxel
+    planes     : (capacity, 2, 8) uint64, bits of OCCUPIED and FREE as they are now
+    values     : (far + 1,) float32 [m], the distance that each squared one means; at `far` it is truncated
+    grid, offsets                see `mapping.kernels.nearest.find_nearest`
+    targets    : (m, 3) int64 cells of the grid to mend; target t is reached by the changes changed_of[first_of[t] :
+                 first_of[t + 1]], rows of cells (k, 3) int64, appeared and vanished (k, 2, 8) uint64
+    changed    : (m,) bool, filled: whether a distance changed
     """
-    nx, ny, nz = near.shape
-    for x in prange(nx):
-        for y in range(ny):
-            for z in range(nz):
-                if not ((near[x, y, z] >= 0.0) if side > 0.0 else (near[x, y, z] < 0.0)):
-                    continue
-                site = np.int64(nearest[x, y, z])
-                if site < 0:
-                    distance[x, y, z] = side * truncation
-                    continue
-                a, b, c = site // (ny * nz), site // nz % ny, site % nz
-                here = near[a, b, c]
-                before = near[a - 1, b, c] if a > 0 else np.nan
-                after = near[a + 1, b, c] if a + 1 < nx else np.nan
-                g0 = slope(before, here, after, np.inf)
-                before = near[a, b - 1, c] if b > 0 else np.nan
-                after = near[a, b + 1, c] if b + 1 < ny else np.nan
-                g1 = slope(before, here, after, np.inf)
-                before = near[a, b, c - 1] if c > 0 else np.nan
-                after = near[a, b, c + 1] if c + 1 < nz else np.nan
-                g2 = slope(before, here, after, np.inf)
-                norm = max(np.sqrt(g0 * g0 + g1 * g1 + g2 * g2), 1e-12)
-                offset = min(abs(here) / norm, 1.0) * side / norm  # [voxels]; a site is within one voxel of its surface
-                d0, d1, d2 = x - a + offset * g0, y - b + offset * g1, z - c + offset * g2
-                distance[x, y, z] = side * min(np.sqrt(d0 * d0 + d1 * d1 + d2 * d2) * voxel_size, truncation)
+    far = values.shape[0] - 1
+    for t in prange(targets.shape[0]):
+        x, y, z = targets[t, 0], targets[t, 1], targets[t, 2]
+        slot = grid[x, y, z]
+        squared, nearest = np.empty(512, np.int32), np.empty(512, np.int32)
+        wanted = np.empty(512, np.bool_)
+        toward = np.empty(3, np.int64)
+        different = False
+        for plane in range(2):
+            is_inside = plane == FREE
+            side = np.float32(-1.0 if is_inside else 1.0)
+            sides = planes[slot, OCCUPIED if is_inside else FREE]
+            limit = np.int64(reach[slot, plane])
+            reach[slot, plane] = 0
+            if not decode(distance[slot], sides, side, voxel_size, values, squared, wanted):
+                continue
+            count = 0
+            for p in range(first_of[t], first_of[t + 1]):
+                for a in range(8):
+                    both = appeared[changed_of[p], plane, a] | vanished[changed_of[p], plane, a]
+                    while both:
+                        both &= both - np.uint64(1)
+                        count += 1
+            if count > _MANY:
+                for w in range(512):
+                    wanted[w] = squared[w] >= 0
+            else:
+                for vanish in (True, False):
+                    for p in range(first_of[t], first_of[t + 1]):
+                        n = changed_of[p]
+                        toward[0], toward[1], toward[2] = (
+                            8 * (cells[n, 0] - x),
+                            8 * (cells[n, 1] - y),
+                            8 * (cells[n, 2] - z),
+                        )
+                        words = vanished[n, plane] if vanish else appeared[n, plane]
+                        apply_sites(words, toward, limit, vanish, far, squared, wanted)
+            find_nearest(planes, plane, grid, (x, y, z), offsets, far, wanted, squared, nearest)
+            top = np.int32(0)
+            for w in range(512):
+                if squared[w] >= 0:
+                    new = side * values[min(squared[w], far)]
+                    different |= distance[slot, w] != new
+                    distance[slot, w] = new
+                    top = max(top, min(squared[w], np.int32(far)))
+            reach[slot, plane] = top
+        for w in range(512):
+            known = (planes[slot, OCCUPIED, w >> 6] | planes[slot, FREE, w >> 6]) >> np.uint64(w & 63)
+            if known & np.uint64(1) == 0:
+                different |= not np.isnan(distance[slot, w])
+                distance[slot, w] = np.nan
+        changed[t] = different
+
+
+@njit(cache=True)
+def value_at(table: Array, distance: Array, weight: Array, i: Int, j: Int, k: Int) -> Float:
+    """The signed distance of voxel (i, j, k); NaN where unknown."""
+    slot = lookup(table, i >> 3, j >> 3, k >> 3)
+    local = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
+    return distance[slot, local] if slot >= 0 and weight[slot, local] > np.float32(0.0) else np.float32(np.nan)
+
+
+@njit(cache=True, error_model="numpy")
+def find_foot(table: Array, distance: Array, weight: Array, i: Int, j: Int, k: Int, foot: Array) -> None:
+    """The way [voxels] from a site to its surface, taken as the plane that its distance and gradient give; fills foot
+    (3,)."""
+    here = value_at(table, distance, weight, i, j, k)
+    g0 = slope(
+        value_at(table, distance, weight, i - 1, j, k), here, value_at(table, distance, weight, i + 1, j, k), np.inf
+    )
+    g1 = slope(
+        value_at(table, distance, weight, i, j - 1, k), here, value_at(table, distance, weight, i, j + 1, k), np.inf
+    )
+    g2 = slope(
+        value_at(table, distance, weight, i, j, k - 1), here, value_at(table, distance, weight, i, j, k + 1), np.inf
+    )
+    norm = max(np.sqrt(g0 * g0 + g1 * g1 + g2 * g2), 1e-12)
+    length = min(abs(here) / norm, 1.0) / norm  # a site is within one voxel of its surface
+    length = -length if here >= np.float32(0.0) else length
+    foot[0], foot[1], foot[2] = length * g0, length * g1, length * g2
 
 
 @njit(cache=True, parallel=True)
-def store_box(distance: Array, slots: Array, blocks: Array, first: Array, box: Array, changed: Array) -> None:
-    """Copy dense distances into the blocks in `slots` (n,), in place.
+def mend_from_crossings(
+    distance: Array,
+    reach: Array,
+    planes: Array,
+    source_table: Array,
+    source_distance: Array,
+    source_weight: Array,
+    far: Int,
+    voxel_size: Float,
+    truncation: Float,
+    grid: Array,
+    first: Array,
+    offsets: Array,
+    targets: Array,
+    changed: Array,
+) -> None:
+    """Work out the distances of blocks anew after crossings of the source's signed distances changed, in place.
 
-    first   : (3,) voxel index of box[0, 0, 0]; the blocks (n, 3) lie within the box
-    changed : (n,) bool, filled
+    source_*      : the source's hash, signed distances [m] and weights (0: unknown)
+    first         : (3,) the block of the grid's first cell; planes (capacity, 2, 8) uint64 of BEFORE and BEHIND
+    the rest as in `mend_from_classes`; sites at squared distance `far` or beyond are none
     """
-    for n in prange(slots.shape[0]):
-        x, y, z = 8 * blocks[n, 0] - first[0], 8 * blocks[n, 1] - first[1], 8 * blocks[n, 2] - first[2]
-        difference = np.uint8(0)
+    for t in prange(targets.shape[0]):
+        x, y, z = targets[t, 0], targets[t, 1], targets[t, 2]
+        slot = grid[x, y, z]
+        bi, bj, bk = first[0] + x, first[1] + y, first[2] + z
+        source = lookup(source_table, bi, bj, bk)
+        squared, nearest = np.empty(512, np.int32), np.empty(512, np.int32)
+        wanted = np.empty(512, np.bool_)
+        known_feet, feet = np.full(256, -1, np.int32), np.empty((256, 3), np.float64)
+        different = False
+        for plane in range(2):
+            side = -1.0 if plane == BEHIND else 1.0
+            for w in range(512):
+                here = source_distance[source, w]
+                wanted[w] = ((here < 0.0) == (plane == BEHIND)) & (source_weight[source, w] > 0.0)
+            find_nearest(planes, plane, grid, (x, y, z), offsets, far, wanted, squared, nearest)
+            top = np.int32(0)
+            for w in range(512):
+                if not wanted[w]:
+                    continue
+                top = max(top, squared[w])
+                new = truncation
+                if squared[w] < far:
+                    s0, s1, s2 = (nearest[w] >> 20) - 512, (nearest[w] >> 10 & 1023) - 512, (nearest[w] & 1023) - 512
+                    row = (nearest[w] ^ nearest[w] >> 9 ^ nearest[w] >> 17) & 255
+                    if known_feet[row] != nearest[w]:
+                        known_feet[row] = nearest[w]
+                        find_foot(
+                            source_table,
+                            source_distance,
+                            source_weight,
+                            8 * bi + s0,
+                            8 * bj + s1,
+                            8 * bk + s2,
+                            feet[row],
+                        )
+                    d0 = (w >> 6) - s0 - feet[row, 0]
+                    d1 = ((w >> 3) & 7) - s1 - feet[row, 1]
+                    d2 = (w & 7) - s2 - feet[row, 2]
+                    new = min(np.sqrt(d0 * d0 + d1 * d1 + d2 * d2) * voxel_size, truncation)
+                rounded = np.float32(side * new)
+                different |= distance[slot, w] != rounded
+                distance[slot, w] = rounded
+            reach[slot, plane] = top
         for w in range(512):
-            old = distance[slots[n], w]
-            new = box[x + (w >> 6), y + ((w >> 3) & 7), z + (w & 7)]
-            same = old == new or (np.isnan(old) and np.isnan(new))
-            difference |= np.uint8(not same)
-            distance[slots[n], w] = new
-        changed[n] = difference != 0
+            if not source_weight[source, w] > 0.0:
+                different |= not np.isnan(distance[slot, w])
+                distance[slot, w] = np.nan
+        changed[t] = different
 
 
 @njit(cache=True)
