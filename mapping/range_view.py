@@ -10,11 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from mapping.errors import InvalidObservation
 from mapping.geometry import SE3
 from mapping.grid import as_points, point_to_ijk, read_only
-from mapping.kernels import lidar
+from mapping.kernels import range_occupancy, range_visibility
 from mapping.sensors import LidarModel
-from mapping.view import ROOTS_ALONG_AXIS, as_pose
+from mapping.view import as_pose
 
 Array: TypeAlias = NDArray[Any]
+
+_ROOTS_ALONG_AXIS = 2
+"""About so many cells along the edge of what the image can see are where the search for blocks begins."""
 
 
 def as_ranges_m(ranges: Array, model: LidarModel) -> NDArray[np.float32]:
@@ -44,17 +47,17 @@ class RangeView:
         self.max_range_m = float(max_range_m)
         self.lidar: NDArray[np.float64] = np.array([*inverse.rotation.ravel(), *inverse.translation, *model.seeing])
         """The lidar as kernels take it, with `row_of` and `off_row`, see `mapping.kernels.lidar`."""
-        self.row_of, self.off_row = model.row_of, model.off_row
+        self.row_of: NDArray[np.int32] = model.row_of
+        self.off_row: NDArray[np.float32] = model.off_row
         self.pose: NDArray[np.float64] = np.concatenate([pose.rotation.ravel(), pose.translation])
         """(12,) R_map_sensor row by row, then t_map_sensor."""
         self.reach: NDArray[np.float32] = np.empty_like(ranges_m)
         """(rows, columns) float32 see `mapping.kernels.lidar`."""
-        self.farthest_m = float(lidar.measure_reach(ranges_m, self.max_range_m, self.reach))
+        self.farthest_m = float(range_visibility.measure_reach(ranges_m, self.max_range_m, self.reach))
         """The largest range of which the image says anything [m]."""
-        levels = min(lidar.WINDOWS, max(model.shape).bit_length(), model.columns.bit_length())
-        self._lows = np.empty((levels, *model.shape), np.float32)
-        self._highs = np.empty_like(self._lows)
-        lidar.build_windows(self.reach, model.seeing[2] == model.seeing[3], self._lows, self._highs)
+        levels = min(range_visibility.WINDOWS, max(model.shape).bit_length(), model.columns.bit_length())
+        self._windows = np.empty((levels, *model.shape, 2), np.float32)
+        range_visibility.build_windows(self.reach, model.seeing[2] == model.seeing[3], self._windows)
         self._p_map: NDArray[np.float64] | None = None
 
     @classmethod
@@ -75,7 +78,7 @@ class RangeView:
     @property
     def clear(self) -> NDArray[np.float32]:
         """(rows, columns) float32 [m] the lowest range that a beam and its neighbours saw."""
-        return np.asarray(self._lows[0])
+        return -self._windows[0, ..., 0]
 
     def blocks(
         self, block_size_m: float, *, front_m: float, back_m: float, with_free: bool
@@ -88,41 +91,37 @@ class RangeView:
         n = 1 << 14
         while True:
             blocks, kinds = np.empty((n, 3), np.int32), np.empty(n, np.uint8)
-            count = lidar.list_blocks(
-                self._lows,
-                self._highs,
-                self.lidar,
-                self.model.rings,
-                self.model.row_at,
-                roots,
-                level,
-                block_size_m,
-                front_m,
-                back_m,
-                with_free,
-                blocks,
-                kinds,
-            )
+            count = range_visibility.list_blocks(
+                self._windows, self.lidar, self.model.spans, roots, level, block_size_m, front_m, back_m,
+                with_free, blocks, kinds,
+            )  # fmt: skip
             if count <= n:
                 return blocks[:count], kinds[:count]
             n = count
+
+    def mark_free(self, blocks: NDArray[np.int32], voxel_size_m: float, marks: NDArray[np.uint8]) -> None:
+        """Mark each voxel of blocks (n, 3) that the image sees free, see `mapping.kernels.range_occupancy`; fills
+        marks (n, 512)."""
+        range_occupancy.mark_free(
+            blocks, voxel_size_m, self._windows, self.lidar, self.model.spans, self.row_of,
+            self.off_row, marks,
+        )  # fmt: skip
 
     def hits(self, voxel_size_m: float) -> NDArray[np.int32]:
         """The voxels (n, 3) that a beam ended in; some may be named more than once."""
         if self._p_map is not None:
             return point_to_ijk(self._p_map, voxel_size_m)
         voxels = np.empty((self.reach.size, 3), np.int32)
-        elevations, azimuths = self.model.elevations, self.model.azimuths
-        angles = np.concatenate([elevations, azimuths])
+        angles = np.concatenate([self.model.elevations, self.model.azimuths])
         directions = np.stack([np.sin(angles), np.cos(angles)], axis=1)
-        return voxels[: lidar.list_hits(self.reach, directions, self.pose, voxel_size_m, voxels)]
+        return voxels[: range_occupancy.list_hits(self.reach, directions, self.pose, voxel_size_m, voxels)]
 
     def _roots(self, block_size_m: float, back_m: float) -> tuple[NDArray[np.int64], int]:
         """The cells (r, 3) of 2^level blocks along an edge that the reach's bounding box meets, and that level."""
         if self.farthest_m == 0.0:
-            return np.empty((0, 3), np.int64), 0
+            return np.empty((0, 3), np.int64), 1
         low, high = self.pose[9:] - self.farthest_m - back_m, self.pose[9:] + self.farthest_m + back_m
-        level = max(0, int(np.ceil(np.log2((high - low).max() / (ROOTS_ALONG_AXIS * block_size_m)))))
+        level = max(1, int(np.ceil(np.log2((high - low).max() / (_ROOTS_ALONG_AXIS * block_size_m)))))
         edge_m = block_size_m * (1 << level)
         axes = [np.arange(np.floor(a / edge_m), np.floor(b / edge_m) + 1) for a, b in zip(low, high, strict=True)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.int64), level

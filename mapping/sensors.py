@@ -79,8 +79,7 @@ class LidarModel:
         return LidarModel(np.linspace(highest, lowest, rows), columns, first_azimuth=first_azimuth, span=span)
 
     def _see(self) -> None:
-        """Prepare what kernels take, see `mapping.kernels.lidar`: rings, row_at, row_of, off_row and the last seven
-        numbers of a lidar."""
+        """Prepare what kernels take, see `mapping.kernels.lidar`: its tables, and the last seven numbers of a lidar."""
         e = self.elevations
         rows = len(e)
         gaps = -np.diff(e)
@@ -90,31 +89,32 @@ class LidarModel:
         low = np.sin(np.maximum(e - below, -0.5 * np.pi))
         high = np.sin(np.minimum(e + above, 0.5 * np.pi))
         high[1:] = np.where(gaps <= self.widest_gap, low[:-1], high[1:])  # neighbours meet, to the last digit
-        gaps_above = np.concatenate([[0.0], np.cumsum(high[1:] < low[:-1])])
-        rings = np.empty((rows + 1, 3))
-        rings[:rows] = np.stack([low, high, gaps_above], axis=1)
-        rings[rows] = (-2.0, -2.0, gaps_above[-1])
         per_sine = STEPS_PER_ROW / (high - low).min()
         steps = int(np.ceil((high[0] - low[-1]) * per_sine)) + 3  # the first and the last are outside
-        top = high[0] + 1.0 / per_sine
         if steps > _MOST_STEPS:
             raise InvalidParameter(f"elevations: expected rings farther apart, got {gaps.min():.3g} rad")
+        top = high[0] + 1.0 / per_sine
         upper = top - (np.arange(steps) - 0.01) / per_sine  # a little above, for the rounding of who looks up
-        middle = top - (np.arange(steps) + 0.5) / per_sine
+        middle = upper - 0.51 / per_sine
         row = np.searchsorted(-low, -middle, side="left")
-        outside = (row == rows) | (middle > rings[row, 1])
+        answered = (row < rows) & (middle <= np.append(high, -2.0)[row])
+        row_at = np.searchsorted(-low, -upper, side="left")
+        first_row = np.minimum.accumulate(np.where(answered, row, rows)[::-1])[::-1]
+        last_row = np.maximum.accumulate(np.where(answered, row, -1))
+        before = np.cumsum(answered) - answered
         off = np.arcsin(middle.clip(-1.0, 1.0)) - e[row.clip(0, rows - 1)]
         per_radian = self.columns / self.span
         turn = _WHOLE_TURN * per_radian
         if abs(turn - self.columns) < 1e-6:
             turn = float(self.columns)
         offset = (self.first_azimuth * per_radian) % turn
-        self.rings: NDArray[np.float64] = read_only(rings)
-        self.row_at: NDArray[np.int32] = read_only(np.searchsorted(-low, -upper, side="left").astype(np.int32))
+        self.rings: NDArray[np.float64] = read_only(np.stack([np.append(low, -2.0), np.append(high, -2.0)], axis=1))
+        self.row_at: NDArray[np.int32] = read_only(row_at.astype(np.int32))
         self.row_of: NDArray[np.int32] = read_only(
-            np.where(outside, lidar.NO_PIXEL, row * self.columns).astype(np.int32)
+            np.where(answered, row * self.columns, lidar.NO_PIXEL).astype(np.int32)
         )
         self.off_row: NDArray[np.float32] = read_only(off.astype(np.float32))
+        self.spans: NDArray[np.int32] = read_only(np.stack([first_row, last_row, before], axis=1).astype(np.int32))
         self.seeing: NDArray[np.float64] = read_only(
             np.array([offset, per_radian, self.columns, turn, top, per_sine, steps])
         )
@@ -162,6 +162,5 @@ class LidarModel:
     def _find_beams(self, p_sensor: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         points = as_points(p_sensor, "p_sensor")
         pixels, distance = np.empty(len(points), np.int64), np.empty(len(points))
-        seeing = np.concatenate([np.zeros(12), self.seeing])
-        lidar.find_beams(points, seeing, self.rings, self.row_at, pixels, distance)
+        lidar.find_beams(points, self.seeing, self.rings, self.row_at, pixels, distance)
         return pixels, distance
