@@ -5,6 +5,9 @@
 system about the sensor, the points at one azimuth are swept from bottom to top. With y the distance over ground, the
 gradient between point j and its k-th neighbour before it is α = arctan((z_j − z_{j−k}) / (y_j − y_{j−k})) in
 [−π/2, 3π/2): below τ the point is floor, above π − τ ceiling, between them an object such as a wall.
+
+Neighbours, not heights, decide, so that a small error of the robot's roll and pitch does not matter. Both sides of a
+sharp edge may be floor; that there is a step between them is for `mapping.traversability` to tell, from heights.
 """
 
 from __future__ import annotations
@@ -49,15 +52,14 @@ def label_points(
 
     UNKNOWN is a point that is alone in its sweep. Raises `InvalidParameter`, `InvalidObservation`.
     """
-    points = as_points(p_sensor, "p_sensor")
-    if not np.isfinite(points).all():
-        raise InvalidObservation("p_sensor: expected finite points, got NaN or infinity")
     step = np.radians(require("azimuth_step_deg", azimuth_step_deg, 0.0, 90.0, "°"))
-    flat, height, azimuth = _cylindrical(points, T_map_sensor)
-    sweep = np.floor(azimuth / step).astype(np.int64)
-    order = np.lexsort((np.arctan2(height, flat), sweep))
-    starts = np.flatnonzero(np.diff(sweep[order], prepend=sweep.min(initial=0) - 1, append=sweep.max(initial=0) + 1))
-    return _label(order, starts, flat, height, len(points), tau_deg, k, baseline_m)
+    flat, height, keys, _ = _cylindrical(as_points(p_sensor, "p_sensor"), T_map_sensor, step)
+    if not (np.isfinite(flat) & np.isfinite(height)).all():
+        raise InvalidObservation("p_sensor: expected finite points, got NaN or infinity")
+    order = np.argsort(keys, kind="stable")
+    sweep = np.floor(keys[order])
+    starts = np.flatnonzero(np.diff(sweep, prepend=-np.inf, append=np.inf))
+    return _label(order, starts, flat, height, tau_deg, k, baseline_m)
 
 
 def label_range_image(
@@ -77,31 +79,31 @@ def label_range_image(
     if image.ndim != 3 or image.shape[2] != 3:
         raise InvalidParameter(f"points: expected (rows, columns, 3), got an array of shape {image.shape}")
     rows, columns = image.shape[:2]
-    upwards = image[::-1].transpose(1, 0, 2).reshape(-1, 3)
-    seen = np.flatnonzero(np.isfinite(upwards).all(axis=1) & upwards.any(axis=1))
-    flat, height, _ = _cylindrical(upwards[seen], T_map_sensor)
-    starts = np.searchsorted(seen, np.arange(columns + 1) * rows)
-    labels = np.full(len(upwards), UNKNOWN, np.int8)
-    labels[seen] = _label(np.arange(len(seen)), starts, flat, height, len(seen), tau_deg, k, baseline_m)
-    return np.ascontiguousarray(labels.reshape(columns, rows).T[::-1])
+    flat, height, _, measured = _cylindrical(as_points(image.reshape(-1, 3)), T_map_sensor, 1.0)
+    upwards = np.arange(rows * columns).reshape(rows, columns)[::-1].T.ravel()
+    order = upwards[measured[upwards]]
+    starts = np.concatenate([[0], np.cumsum(measured.reshape(rows, columns).sum(axis=0))])
+    return _label(order, starts, flat, height, tau_deg, k, baseline_m).reshape(rows, columns)
 
 
-def _cylindrical(points: Array, T_map_sensor: SE3 | ArrayLike | None) -> tuple[Array, Array, Array]:
-    """Distance over ground, height and azimuth (N,) about the sensor, with the map's idea of what is up."""
+def _cylindrical(points: Array, T_map_sensor: SE3 | ArrayLike | None, step: float) -> tuple[Array, ...]:
+    """See `kernels.drivable.measure_sweeps`; the map's idea of what is up."""
     rotation = np.eye(3) if T_map_sensor is None else as_pose(T_map_sensor, "T_map_sensor").rotation
-    x, y, z = rotation @ points.T
-    return np.hypot(x, y), z, np.arctan2(y, x)
+    flat, height, keys = (np.empty(len(points)) for _ in range(3))
+    measured = np.empty(len(points), np.bool_)
+    drivable.measure_sweeps(points, np.array(rotation), step, flat, height, keys, measured)
+    return flat, height, keys, measured
 
 
 def _label(
-    order: Array, starts: Array, flat: Array, height: Array, n: int, tau_deg: float, k: int, baseline_m: float
+    order: Array, starts: Array, flat: Array, height: Array, tau_deg: float, k: int, baseline_m: float
 ) -> NDArray[np.int8]:
     tau = np.radians(require("tau_deg", tau_deg, 0.0, 89.0, "°"))
     if k < 1 or k != int(k):
         raise InvalidParameter(f"k: expected a whole number ≥ 1, got {k!r}")
     if baseline_m != 0.0:
         require("baseline_m", baseline_m, 0.0, 100.0, "m")
-    labels = np.full(n, UNKNOWN, np.int8)
+    labels = np.full(len(flat), UNKNOWN, np.int8)
     rows = np.ascontiguousarray(order, np.int64)
     drivable.label_sweeps(
         rows,

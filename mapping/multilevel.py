@@ -95,7 +95,7 @@ class MultiLevelMap(TileLayer):
     def _nearest(self, p_map: ArrayLike) -> NDArray[np.float64]:
         slots, local = self.locate(p_map)
         points = np.asarray(p_map, dtype=np.float64)
-        heights = np.ascontiguousarray(points[:, 2]) if points.shape[1] == 3 else np.full(len(points), np.nan)
+        heights = points[:, 2].copy() if points.shape[1] == 3 else np.full(len(points), np.nan)
         found = np.empty((len(points), 4))
         multilevel.read_nearest(self.store.fields["patches"], slots, local, heights, found)
         return found

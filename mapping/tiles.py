@@ -97,6 +97,8 @@ class Grouped(NamedTuple):
 class TileLayer(MapLayer):
     """A layer on the ground: 8 × 8 cells a block, found by index (i, j, 0); `voxel_size_m` is the edge of a cell.
 
+    In a `Changed` of such a layer only x and y mean something: a tile stands for all that is above it.
+
     max_range_m     points farther from the sensor than this are left out [m]
     above_sensor_m  points that lie more than this above the sensor are left out [m]: what a robot drives under
     noise           by keyword, see `HeightNoise`

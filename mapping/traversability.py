@@ -142,6 +142,7 @@ def traversability(
     plane is fitted to the cells of the disc that the robot could get to without breaking a limit, so that a wall beside
     the robot makes a step, but no slope. Clearance can only be judged by layers that know of gaps, or with `overhead`.
     In an elevation map a step may be spread over two cells, half as high in each: then it is the roughness that tells.
+    An extended elevation map only knows gaps higher than its `robot_height_m`: let that be no more than `height_m`.
     """
     if not isinstance(layer, HeightLayer):
         raise InvalidParameter(f"layer: expected a map of heights, got {type(layer).__name__}")

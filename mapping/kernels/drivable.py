@@ -16,6 +16,28 @@ FLOOR, OBJECT, CEILING, UNKNOWN = 0, 1, 2, -1
 
 
 @njit(cache=True)
+def measure_sweeps(
+    points: Array, rotation: Array, step: Float, flat: Array, height: Array, keys: Array, measured: Array
+) -> None:
+    """Vertical cylindrical coordinates of points (n, 3) [m] in the sensor frame, in place.
+
+    rotation     : (3, 3) of the sensor, whose z axis need not be vertical;  step : width of a sweep [rad]
+    flat, height : (n,) distance over ground and height about the sensor [m]
+    keys         : (n,) float64 that sort the points by sweep, then by elevation: the whole part names the sweep
+    measured     : (n,) bool, whether the point is finite and not the origin
+    """
+    for n in range(points.shape[0]):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        u = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
+        v = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
+        height[n] = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
+        flat[n] = np.sqrt(u * u + v * v)
+        measured[n] = np.isfinite(flat[n] + height[n]) and not (x == 0.0 and y == 0.0 and z == 0.0)
+        share = 0.5 + np.arctan2(height[n], flat[n]) / np.pi  # of the way from straight down to straight up
+        keys[n] = np.floor(np.arctan2(v, u) / step) + 0.999 * share
+
+
+@njit(cache=True)
 def neighbour(flat: Array, height: Array, j: Int, beyond: Int, step: Int, k: Int, baseline: Float) -> Int:
     """The point of a sweep that lies k or more points from j in direction `step` (±1) and `baseline` [m] or more away.
 

@@ -165,6 +165,10 @@ def pose_variance(tiles: Array, row: Int, w: Int, cell_size: Float, pose: Array,
     )
 
 
+SMALL = 32
+"""So many heights are sorted by insertion."""
+
+
 @njit(cache=True, error_model="numpy")
 def split_at_gaps(heights: Array, start: Int, end: Int, gap: Float, lows: Array, highs: Array) -> Int:
     """Cut heights [start, end) into intervals with more than `gap` [m] between them; the lowest come first.
@@ -172,41 +176,46 @@ def split_at_gaps(heights: Array, start: Int, end: Int, gap: Float, lows: Array,
     Fills lows, highs (≥ end − start,) with the ends of the intervals, in place. Returns how many.
     """
     m = end - start
-    candidates: Int = m
     low = high = heights[start]
     for k in range(start + 1, end):
         low, high = min(low, heights[k]), max(high, heights[k])
+    lows[0], highs[0] = low, high
     if high - low <= gap:
-        lows[0], highs[0] = low, high
         return 1
-    if 2.0 * (high - low) < (m - 1) * gap:  # few buckets of half a gap: no gap fits into one
-        candidates = np.int64(2.0 * (high - low) / gap) + 1
-        for a in range(candidates):
+    n = 0
+    buckets = np.int64(2.0 * (high - low) / gap) + 1
+    if buckets < m:  # buckets of half a gap: no gap fits into one
+        for a in range(buckets):
             lows[a], highs[a] = np.inf, -np.inf
         for k in range(start, end):
             bucket = np.int64(2.0 * (heights[k] - low) / gap)
             lows[bucket], highs[bucket] = min(lows[bucket], heights[k]), max(highs[bucket], heights[k])
+        for a in range(1, buckets):
+            if lows[a] - highs[n] > gap and lows[a] < np.inf:
+                n += 1
+                lows[n], highs[n] = lows[a], highs[a]
+            else:
+                highs[n] = max(highs[n], highs[a])
+        return n + 1
+    if m <= SMALL:
+        for k in range(m):
+            value = heights[start + k]
+            before = k
+            while before > 0 and lows[before - 1] > value:
+                lows[before] = lows[before - 1]
+                before -= 1
+            lows[before] = value
     else:
         for k in range(m):
             lows[k] = heights[start + k]
-        if m <= 32:
-            for a in range(1, m):
-                value = lows[a]
-                b = a - 1
-                while b >= 0 and lows[b] > value:
-                    lows[b + 1] = lows[b]
-                    b -= 1
-                lows[b + 1] = value
-        else:
-            lows[:m].sort()
-        for k in range(m):
-            highs[k] = lows[k]
-    n = 0
-    for a in range(1, candidates):
-        if lows[a] - highs[n] > gap and lows[a] < np.inf:
+        lows[:m].sort()
+    last = low
+    for k in range(1, m):
+        value = lows[k]
+        if value - last > gap:
+            highs[n] = last
             n += 1
-            lows[n] = lows[a]
-            highs[n] = highs[a]
-        else:
-            highs[n] = max(highs[n], highs[a])
+            lows[n] = value
+        last = value
+    highs[n] = last
     return n + 1

@@ -67,6 +67,11 @@ def test_tilting_ground_is_floor_while_it_is_less_steep_than_tau():
     assert set(labels(*steep, tau_deg=30.0)) == {FLOOR}
 
 
+def test_both_sides_of_a_sharp_edge_are_floor():
+    pothole = [(1.0, -1.0), (1.5, -1.0), (2.0, -1.0), (2.6, -1.3), (3.0, -1.3), (3.0, -1.0), (3.5, -1.0)]
+    assert labels(*pothole) == [FLOOR] * 5 + [OBJECT, FLOOR]
+
+
 def test_a_point_alone_in_its_sweep_is_unknown():
     assert labels((1.0, -0.5)) == [UNKNOWN]
     assert label_points(np.array([[1.0, 0.0, -0.5], [-1.0, 0.1, -0.5]])).tolist() == [UNKNOWN, UNKNOWN]
@@ -187,7 +192,8 @@ def test_bad_parameters_are_refused_by_name(name, bad):
 
 
 def test_bad_points_are_refused():
-    with pytest.raises(InvalidObservation, match="finite"):
-        label_points(np.full((2, 3), np.nan))
+    for bad in (np.nan, np.inf):
+        with pytest.raises(InvalidObservation, match="finite"):
+            label_points(np.array([[1.0, 0.0, 0.0], [bad, 0.0, -bad]]))
     with pytest.raises(InvalidParameter, match="rows, columns, 3"):
         label_range_image(np.zeros((4, 3)))

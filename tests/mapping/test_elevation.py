@@ -11,10 +11,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mapping.drivable import label_points
 from mapping.elevation import GAP, LEVEL, MOST_PARTS, UNKNOWN, VERTICAL, ElevationMap, ExtendedElevationMap, HeightMap
 from mapping.errors import InvalidObservation, InvalidParameter
 from mapping.geometry import SE3
+from mapping.kernels import drivable as kernels_drivable
+from mapping.kernels import elevation as kernels_elevation
+from mapping.kernels import multilevel as kernels_multilevel
+from mapping.kernels import tiles as kernels_tiles
+from mapping.kernels import traversability as kernels_traversability
+from mapping.multilevel import MultiLevelMap
+from mapping.occupancy import OccupancyMap
 from mapping.tiles import HeightNoise
+from mapping.traversability import traversability
 from tests import naive_elevation as naive
 from tests.support.rooms import SMALL_CAMERA, TOUR, Room
 
@@ -262,3 +271,31 @@ def test_a_scan_may_touch_more_tiles_than_there_was_room_for():
     layer.integrate(points, LEVEL_SENSOR)
     assert layer.store.n_blocks > 256
     assert np.isfinite(layer.query(points)).all()
+
+
+def compiled() -> dict[str, int]:
+    """For each kernel of this layer family, for how many types of input it is compiled."""
+    found = {}
+    for module in (kernels_drivable, kernels_elevation, kernels_multilevel, kernels_tiles, kernels_traversability):
+        found |= {
+            f"{module.__name__}.{k}": len(v.signatures) for k, v in vars(module).items() if hasattr(v, "signatures")
+        }
+    return found
+
+
+def test_kernels_are_compiled_once_whatever_arrays_a_caller_holds():
+    points, depth = Room().scan(TOUR[0], 50), Room().depth(TOUR[0], SMALL_CAMERA)
+    frozen = points[:1].copy()
+    frozen.setflags(write=False)
+    counts = []
+    for cloud in (points, points.astype(np.float32)[::2], np.asfortranarray(points), frozen):
+        for make in (HeightMap, ElevationMap, ExtendedElevationMap, MultiLevelMap):
+            layer = make(SIZE)
+            layer.integrate(cloud, TOUR[0])
+            layer.integrate_image(depth, SMALL_CAMERA, TOUR[0])
+            layer.query(cloud)
+            layer.query(cloud[:, :2])
+            traversability(layer, overhead=OccupancyMap(0.1))
+        label_points(cloud)
+        counts.append(compiled())
+    assert all(later == counts[0] for later in counts[1:])
