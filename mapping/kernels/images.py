@@ -1,7 +1,7 @@
 """Image kernels: depth images ⇄ points, and one camera's image as another camera's pixels.
 
-A *camera* is a (6,) float64 array: fx, fy, cx, cy, width, height. A pose is (12,) float64: the rotation row by row, then
-the translation [m].
+A *camera* is a (6,) float64 array: fx, fy, cx, cy, width, height. A pose is (12,) float64: the rotation row by row,
+then the translation [m].
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def lift_depth(depth: Array, camera: Array, points: Array) -> Int:
     """
     per_x, per_y = np.float32(1.0 / camera[0]), np.float32(1.0 / camera[1])
     cx, cy = np.float32(camera[2]), np.float32(camera[3])
-    count = 0
+    count: Int = 0
     for v in range(depth.shape[0]):
         y = (np.float32(v) - cy) * per_y
         for u in range(depth.shape[1]):
@@ -105,10 +105,10 @@ def cover(depth: Array, seen: Array, magnify_x: Float, magnify_y: Float, nearest
                 continue
             reach = 0.5 * FOOTPRINT * depth[v, u] / z
             column, row = seen[v, u, 0], seen[v, u, 1]
-            column0 = max(np.int64(np.ceil(column - reach * magnify_x)), 0)
-            column1 = min(np.int64(np.floor(column + reach * magnify_x)), width - 1)
-            row0 = max(np.int64(np.ceil(row - reach * magnify_y)), 0)
-            row1 = min(np.int64(np.floor(row + reach * magnify_y)), height - 1)
+            column0 = np.int64(np.ceil(max(column - reach * magnify_x, 0.0)))
+            column1 = np.int64(np.floor(min(column + reach * magnify_x, width - 1.0)))
+            row0 = np.int64(np.ceil(max(row - reach * magnify_y, 0.0)))
+            row1 = np.int64(np.floor(min(row + reach * magnify_y, height - 1.0)))
             for j in range(row0, row1 + 1):
                 for i in range(column0, column1 + 1):
                     nearest[j, i] = min(nearest[j, i], z)

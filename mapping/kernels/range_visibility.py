@@ -196,7 +196,8 @@ def classify_children(
         if row0 > row1:
             continue
         inside = lower + 1 < spans.shape[0] and spans[lower + 1, 2] - spans[upper, 2] == lower + 1 - upper
-        left, right = np.int64(np.floor(bounds[LEFT, n])), np.int64(np.floor(bounds[RIGHT, n]))
+        left: Int = np.int64(np.floor(bounds[LEFT, n]))
+        right: Int = np.int64(np.floor(bounds[RIGHT, n]))
         if whole_turn:
             n_columns = min(right - left + 1, columns)
             column0 = left % columns
