@@ -103,6 +103,14 @@ def test_a_lidar_scan_by_rays(
     )
 
 
+def test_a_lidar_scan_projected(benchmark: BenchmarkFixture, table: Table, lidar_peers: dict[str, Peer]) -> None:
+    scans = lidar_scans(noise_m=NOISE_M)
+    step = again(modes.LIDAR_5CM.ours(), modes.project_sweep, scans)
+    ours, theirs = race(benchmark, step, lidar_peers, rounds=40, peer_every=8)
+    bound = bound_ms(modes.LIDAR_5CM.ours, modes.project_sweep, scans)
+    table.add("lidar 64 × 1024, 5 cm", "projective", ours, theirs, must_share={LAZY: 1 / 40}, bound_ms=bound)
+
+
 @pytest.mark.parametrize("discretise", [False, True], ids=["all beams", "discretised"])
 def test_an_image_by_rays(
     benchmark: BenchmarkFixture, table: Table, loop_peers: dict[str, Peer], discretise: bool

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mapping.datasets.opening import open_dataset
 from mapping.occupancy import OccupancyMap
 from tests.support import modes
 from tests.support.agreement import classes_of, with_octomap
-from tests.support.building import N_IMAGES, lidar_scans, rgbd_image, rgbd_images
+from tests.support.building import N_IMAGES, building, lidar_scans, rgbd_image, rgbd_images
 from tests.support.modes import Beams, Configuration, beams_of
 from tests.support.recordings import recording
 
@@ -65,15 +66,30 @@ def test_images_projected_say_what_their_rays_say(noisy):
     compare_with_rays("RGB-D", projected, cast)
 
 
+@pytest.mark.parametrize("noise_m", [0.0, 0.01], ids=["exact", "noisy"])
+def test_range_images_projected_say_what_their_rays_say(noise_m):
+    projected, cast = modes.LIDAR_5CM.ours(), modes.LIDAR_5CM.ours()
+    scans = lidar_scans(2, noise_m)
+    for scan, beams in zip(scans, beams_of(scans), strict=True):
+        modes.project_sweep(projected, scan)
+        modes.LIDAR_5CM.cast(cast, beams)
+    compare_with_rays("lidar", projected, cast)
+
+
 def compare_with_rays(name: str, projected: OccupancyMap, cast: OccupancyMap) -> None:
-    """Print what `projective` knows more and less than `rays`; they must agree where both know."""
-    _, (mine, other) = classes_of(projected, cast)
+    """Print what `projective` knows more and less than `rays`, and how true it is; they must agree where both know."""
+    first, (mine, other) = classes_of(projected, cast)
     both = (mine >= 0) & (other >= 0)
     same = float((mine == other)[both].mean())
     volume = cast.voxel_size_m**3
-    more, less = ((mine >= 0) & (other < 0)).sum(), ((mine < 0) & (other >= 0)).sum()
+    more, less = (mine >= 0) & (other < 0), (mine < 0) & (other >= 0)
     known = (other >= 0).sum()
     print(f"{name}, projective and rays: same class on {same:.4%} of {both.sum()} voxels known to both")
-    print(f"    known to projective alone {more * volume:.3f} m³ ({more / known:.2%} of what rays know)")
-    print(f"    known to rays alone {less * volume:.3f} m³ ({less / known:.2%})")
+    print(f"    known to projective alone {more.sum() * volume:.3f} m³ ({more.sum() / known:.2%} of what rays know)")
+    print(f"    known to rays alone {less.sum() * volume:.3f} m³ ({less.sum() / known:.2%})")
+    for kind, where in (("projective alone", more & (mine == 0)), ("projective", mine == 0), ("rays", other == 0)):
+        centres = (first + np.argwhere(where)[::10] + 0.5) * cast.voxel_size_m
+        if len(centres):
+            wrong = float((building().scene.distance(centres) < 0.5 * cast.voxel_size_m).mean())
+            print(f"    free to {kind}: {wrong:.2%} of these voxels hold a true surface at their middle")
     assert same >= ENOUGH

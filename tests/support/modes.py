@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mapping.occupancy import OccupancyMap
-from tests.support.building import CAMERA, CAMERA_RANGE_M, LIDAR_RANGE_M, DepthImage, LidarScan
+from tests.support.building import CAMERA, CAMERA_RANGE_M, LIDAR, LIDAR_RANGE_M, DepthImage, LidarScan
 
 HIT, MISS, LOWEST, HIGHEST = 0.7, 0.4, 0.1192, 0.971
 """Probabilities of OctoMap's sensor model and its clamps; both libraries' defaults."""
@@ -82,3 +82,8 @@ def beams_of(seen: Iterable[LidarScan | DepthImage]) -> list[Beams]:
 def project(layer: OccupancyMap, image: DepthImage) -> None:
     """Mode `projective`, for images."""
     layer.integrate_image(image.depth, CAMERA, image.T_map_camera)
+
+
+def project_sweep(layer: OccupancyMap, scan: LidarScan) -> None:
+    """Mode `projective`, for the range images of a lidar."""
+    layer.integrate_range_image(scan.ranges, LIDAR, scan.T_map_sensor)

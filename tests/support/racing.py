@@ -145,7 +145,7 @@ class Table:
     def lines(self) -> list[str]:
         """The table, set in columns."""
         head = ["case", "mode", "ours ms: median (least; cpu)", "peer", "its ms", "ours ÷ peer", "must", "bound ms"]
-        return columns([head, *(row.cells() for row in self.rows)]) + self.notes
+        return (columns([head, *(row.cells() for row in self.rows)]) if self.rows else []) + self.notes
 
 
 def columns(cells: Sequence[Sequence[str]]) -> list[str]:
