@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapping.errors import InvalidParameter, MappingError
-from mapping.grid import split_ijk
 from mapping.occupancy import FREE, OCCUPIED, OccupancyMap
 from mapping.octomap import read_octomap
 from tests.support.recordings import recording
@@ -15,11 +14,8 @@ from tests.support.rooms import TOUR, Room
 
 def map_of(voxels: np.ndarray, occupied: np.ndarray, voxel_size: float = 0.1) -> OccupancyMap:
     layer = OccupancyMap(voxel_size)
-    block, local = split_ijk(voxels)
-    blocks, rows = np.unique(block, axis=0, return_inverse=True)
-    evidence = layer.evidence_of(blocks)
-    evidence[rows.ravel(), local] = np.where(occupied, layer.highest_evidence, layer.lowest_evidence)
-    layer.set_evidence(blocks, evidence)
+    evidence = np.where(occupied, layer.highest_evidence, layer.lowest_evidence)
+    layer.assign((voxels + 0.5) * voxel_size, evidence)
     return layer
 
 

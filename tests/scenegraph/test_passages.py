@@ -33,12 +33,8 @@ def two_rooms(gap: tuple[float, float] | None) -> tuple[Storey, OccupancyMap, Sc
     wall = np.abs(x - WALL_X) < 0.06
     if gap is not None:
         wall &= (y < gap[0]) | (y > gap[1])
-    ijk = np.floor(np.stack([x, y, z], axis=-1) / 0.05).astype(np.int64)
-    slots = occupancy.store.allocate(np.unique(ijk.reshape(-1, 3) >> 3, axis=0))
-    assert len(slots)
-    where = occupancy.store.find((ijk >> 3).reshape(-1, 3))
-    local = (ijk & 7).reshape(-1, 3) @ (64, 8, 1)
-    occupancy.store.fields["evidence"][where, local] = np.where(wall, 20, -20).ravel()
+    centres = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    occupancy.assign(centres, np.where(wall, 20, -20).ravel())
     graph = SceneGraph()
     changes = GraphChanges()
     for n in (1, 2):

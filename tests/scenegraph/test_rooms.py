@@ -78,11 +78,8 @@ class Home:
                 np.meshgrid(*(np.arange(a + 0.025, b, 0.05) for a, b in zip(low, high, strict=True)), indexing="ij"),
                 axis=-1,
             ).reshape(-1, 3)
-            blocks = np.unique(np.floor(centres / 0.4).astype(np.int32), axis=0)
-            self.occupancy.store.allocate(blocks)
-            slots, local = self.occupancy.store.locate(centres)
-            self.occupancy.store.fields["evidence"][slots, local] = FREE_EVIDENCE
-            seen.append(blocks)
+            self.occupancy.assign(centres, FREE_EVIDENCE)
+            seen.append(np.unique(np.floor(centres / 0.4).astype(np.int32), axis=0))
         changed_blocks = Changed(np.unique(np.concatenate(seen), axis=0), self.occupancy.block_size_m)
         changes, changed = self.rooms.update(self.occupancy, changed_blocks, structure, self.graph, self.now)
         self.graph.commit(changes, self.now)
