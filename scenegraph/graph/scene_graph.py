@@ -236,7 +236,12 @@ class SceneGraph:
             else:
                 edges[step] = None
         nodes = {i: node for i, node in nodes.items() if index.nodes.get(i) != node}
-        edges = {key: edge for key, edge in edges.items() if index.edge(*key) != edge}
+        gone = {i for i, node in nodes.items() if node is None}  # a put that joins one of these is no news, but wrong
+        edges = {
+            key: edge
+            for key, edge in edges.items()
+            if index.edge(*key) != edge or (edge is not None and not gone.isdisjoint((edge.source, edge.target)))
+        }
         tombstones: dict[str, Tombstone | None] = {}
         for node_id, node in nodes.items():
             if node is None:

@@ -309,6 +309,15 @@ def test_a_mirror_says_when_the_snapshot_is_too_old() -> None:
         mirror.receive(graph.commit(changes(node("object_4")), 31))
 
 
+def test_an_edge_of_a_node_that_the_same_change_deletes_is_refused_though_it_is_there_already() -> None:
+    graph = SceneGraph()
+    graph.commit(changes(node("object_0"), node("object_1"), edge("on", "object_1", "object_0", 0.5)), 1)
+    before = graph.snapshot()
+    with pytest.raises(DanglingEdge):
+        graph.commit(changes(("object_0",), edge("on", "object_1", "object_0", 0.5)), 2)
+    assert graph.snapshot() == before
+
+
 # -- laws ------------------------------------------------------------------------------------------------------------
 
 ids = st.sampled_from(IDS)
