@@ -21,6 +21,8 @@ Array: TypeAlias = NDArray[Any]
 
 CELLS = BLOCK_EDGE**2
 """Cells of a tile."""
+MOST_CELLS = 50_000_000
+"""A picture of more cells than this is refused: some stray point made the map wide."""
 
 
 @dataclass(frozen=True)
@@ -218,7 +220,10 @@ class TileLayer(MapLayer):
 
     # -- pictures -----------------------------------------------------------------------------------------
     def centres(self, lo: ArrayLike | None = None, hi: ArrayLike | None = None) -> NDArray[np.float64]:
-        """The centres (nx, ny, 2) [m] of all cells from corner `lo` to `hi` (2,) [m]; of all tiles without these."""
+        """The centres (nx, ny, 2) [m] of the cells from corner `lo` to `hi` (2,) [m]; of all tiles without these.
+
+        Raises `InvalidParameter` on impossible corners and more than `MOST_CELLS` cells.
+        """
         size = self.voxel_size_m
         if lo is None or hi is None:
             tiles = self.block_ijk[:, :2] if self.store.n_blocks else np.zeros((0, 2), np.int32)
@@ -232,6 +237,9 @@ class TileLayer(MapLayer):
                 )
             first = np.floor(low / size + 1e-6).astype(np.int64)
             beyond = np.maximum(np.ceil(high / size - 1e-6).astype(np.int64), first + 1)
+        nx, ny = (int(n) for n in beyond - first)
+        if nx * ny > MOST_CELLS:
+            raise InvalidParameter(f"lo, hi: expected a region of at most {MOST_CELLS} cells, got {nx} × {ny}")
         axes = [(np.arange(a, b) + 0.5) * size for a, b in zip(first, beyond, strict=True)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 

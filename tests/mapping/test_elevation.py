@@ -145,6 +145,30 @@ def test_what_is_far_is_known_less_well_and_what_is_seen_again_better():
     assert np.allclose(layer.variance(floor_points), once / 2.0, rtol=1e-5)
 
 
+def test_errors_are_as_large_as_the_variance_says():
+    """Squared errors over variances average 1 when ranges, beams and poses err as the parameters say."""
+    noise = HeightNoise(
+        range_sigma_m=0.03, range_sigma_per_m=0.004, beam_sigma_rad=0.004, pose_sigma_m=0.03, tilt_sigma_rad=0.006,
+        least_sigma_m=1e-3,
+    )  # fmt: skip
+    rng = np.random.default_rng(0)
+    distances = np.array([1.5, 3.1, 5.1, 8.1])
+    floor = np.array([[d, 0.1, 0.0] for d in distances]).repeat(4, axis=0)
+    ratios = []
+    for _ in range(300):
+        believed = SE3.exp([0.1, 0.1, 1.0, *rng.normal(0.0, 0.2, 3)])
+        moved = believed @ SE3.exp(rng.multivariate_normal(np.zeros(6), noise.of_pose))
+        seen = moved.inverse() @ (floor + np.r_[0.1, 0.0, 0.0])
+        reach = np.linalg.norm(seen, axis=1, keepdims=True)
+        seen += seen / reach * rng.normal(0.0, noise.range_sigma_m + noise.range_sigma_per_m * reach)
+        seen += np.cross(seen, rng.normal(0.0, noise.beam_sigma_rad, seen.shape))
+        layer = ElevationMap(2.0, **asdict(noise))
+        layer.integrate(seen, believed)
+        at = floor[::4, :2] + [0.1, 0.0]
+        ratios.append(layer.query(at) ** 2 / layer.variance(at))
+    assert np.nanmean(ratios) == pytest.approx(1.0, abs=0.15)
+
+
 def test_a_height_is_never_believed_better_than_the_least_sigma_so_that_the_map_can_change_its_mind():
     layer = ElevationMap(SIZE, **EXACT)
     for _ in range(50):
@@ -239,6 +263,14 @@ def test_points_may_be_asked_for_by_column_and_pictures_know_where_they_begin():
     assert corner == pytest.approx([-0.6, 1.0])
     assert heights[0, 0] == pytest.approx(0.3)
     assert HeightMap(SIZE).grid()[0].shape == (0, 0)
+
+
+def test_a_picture_of_half_the_world_is_refused():
+    layer = HeightMap(SIZE, max_range_m=10_000.0)
+    layer.integrate(np.array([[-9000.0, -9000.0, 0.0], [9000.0, 9000.0, 0.0]]) / 2.0, LEVEL_SENSOR)
+    with pytest.raises(InvalidParameter, match="lo, hi"):
+        layer.grid()
+    assert layer.box([4499.0, 4499.0], [4501.0, 4501.0])[0].shape == (10, 10)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])

@@ -173,6 +173,19 @@ def test_patches_ascend_and_never_overlap(heights):
     assert min(low for low, _ in solid) <= min(heights)
 
 
+@given(st.lists(st.floats(-2.0, 4.0, width=16), min_size=1, max_size=30), st.floats(-3.0, 5.0))
+@settings(deadline=None, max_examples=60)
+def test_questions_are_about_the_patch_nearest_to_a_height(heights, z):
+    layer = fed(heights, gap_m=0.4)
+    found = [naive.Patch(mean, sigma**2, depth) for mean, sigma, depth in patches(layer)]
+    n = min(range(len(found)), key=lambda n: found[n].distance(z))
+    above = found[n + 1].bottom - found[n].mean if n + 1 < len(found) else np.inf
+    assert layer.nearest(column(z))[0] == pytest.approx([found[n].mean, SIGMA, found[n].depth])
+    assert layer.query(column(z))[0] == layer.nearest(column(z))[0, 0]
+    assert layer.clearance(column(z))[0] == pytest.approx(above)
+    assert layer.query(column(z)[:, :2])[0] == found[0].mean
+
+
 def test_bounds_of_patches_are_checked():
     for bad in (0, 1.5, 65):
         with pytest.raises(InvalidParameter, match="most_patches"):
