@@ -13,10 +13,11 @@ from mapping.esdf import EsdfMap
 from mapping.layer import MapLayer
 from mapping.occupancy import OccupancyMap
 from tests.benchmarks.test_bench_occupancy import Peer
-from tests.benchmarks.test_bench_tsdf import OPEN3D, Grid, fuse, new_map
+from tests.benchmarks.test_bench_tsdf import OPEN3D, fuse, new_map
 from tests.support import modes
 from tests.support.building import lidar_scans, rgbd_images
 from tests.support.modes import beams_of
+from tests.support.open3d_grid import Grid
 from tests.support.racing import Table, bytes_per_ms, race
 
 MILLION = 1_000_000

@@ -14,10 +14,10 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from mapping.tsdf import TsdfMap
 from tests.support.building import CAMERA, CAMERA_RANGE_M, LOOP, N_IMAGES, DepthImage, rgbd_images
+from tests.support.open3d_grid import TRUNCATION_VOXELS, Grid
 from tests.support.racing import Table, bytes_per_ms, race
 
 OPEN3D = "Open3D VoxelBlockGrid"
-TRUNCATION_VOXELS = 4.0
 
 
 def new_map(voxel_size_m: float) -> TsdfMap:
@@ -26,29 +26,6 @@ def new_map(voxel_size_m: float) -> TsdfMap:
 
 def fuse(layer: TsdfMap, image: DepthImage) -> Any:
     return layer.integrate_image(image.depth, CAMERA, image.T_map_camera)
-
-
-class Grid:
-    """Open3D's map; blocks of 8³ voxels, distances and weights."""
-
-    def __init__(self, voxel_size_m: float) -> None:
-        o3d = pytest.importorskip("open3d")
-        core = o3d.core
-        self.tensor, self.image, self.float64 = core.Tensor, o3d.t.geometry.Image, core.float64
-        attributes = ("tsdf", "weight"), (core.float32, core.float32), ((1,), (1,))
-        self.grid = o3d.t.geometry.VoxelBlockGrid(*attributes, voxel_size_m, 8, 20_000, core.Device("CPU:0"))
-        matrix = np.array([[CAMERA.fx, 0.0, CAMERA.cx], [0.0, CAMERA.fy, CAMERA.cy], [0.0, 0.0, 1.0]])
-        self.intrinsic = core.Tensor(matrix, core.float64)
-
-    def fuse(self, image: DepthImage) -> None:
-        depth = self.image(self.tensor(image.depth))
-        scale = 1.0 if image.depth.dtype == np.float32 else 1000.0
-        extrinsic = self.tensor(image.T_map_camera.inverse().matrix, self.float64)
-        how = (self.intrinsic, extrinsic, scale, CAMERA_RANGE_M, TRUNCATION_VOXELS)
-        self.grid.integrate(self.grid.compute_unique_block_coordinates(depth, *how), depth, *how)
-
-    def mesh(self) -> Any:
-        return self.grid.extract_triangle_mesh(0.0)
 
 
 @pytest.mark.parametrize("voxel_size_m", [0.05, 0.02], ids=["5 cm", "2 cm"])
