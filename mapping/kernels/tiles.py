@@ -165,10 +165,6 @@ def pose_variance(tiles: Array, row: Int, w: Int, cell_size: Float, pose: Array,
     )
 
 
-SMALL = 32
-"""So many heights are sorted by insertion."""
-
-
 @njit(cache=True, error_model="numpy")
 def split_at_gaps(heights: Array, start: Int, end: Int, gap: Float, lows: Array, highs: Array) -> Int:
     """Cut heights [start, end) into intervals with more than `gap` [m] between them; the lowest come first.
@@ -197,18 +193,20 @@ def split_at_gaps(heights: Array, start: Int, end: Int, gap: Float, lows: Array,
             else:
                 highs[n] = max(highs[n], highs[a])
         return n + 1
-    if m <= SMALL:
-        for k in range(m):
-            value = heights[start + k]
-            before = k
-            while before > 0 and lows[before - 1] > value:
-                lows[before] = lows[before - 1]
-                before -= 1
-            lows[before] = value
-    else:
-        for k in range(m):
-            lows[k] = heights[start + k]
-        lows[:m].sort()
+    for k in range(m):
+        lows[k] = heights[start + k]
+    apart = 1
+    while 9 * apart < m:
+        apart = 3 * apart + 1
+    while apart > 0:  # Shell's sort with Knuth's steps: mostly there are few
+        for k in range(apart, m):
+            value = lows[k]
+            to = k
+            while to >= apart and lows[to - apart] > value:
+                lows[to] = lows[to - apart]
+                to -= apart
+            lows[to] = value
+        apart //= 3
     last = low
     for k in range(1, m):
         value = lows[k]

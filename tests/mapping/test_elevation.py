@@ -117,6 +117,21 @@ def test_the_parts_of_an_extended_map_are_those_of_all_its_points_together():
     assert {LEVEL, VERTICAL, GAP} <= set(classes)
 
 
+@given(
+    st.lists(st.floats(-5.0, 5.0, width=16), min_size=1, max_size=80),
+    st.sampled_from([0.001, 0.1, 0.5, 1.0, 3.0]),
+    st.integers(0, 3),
+)
+@settings(deadline=None, max_examples=150)
+def test_heights_are_cut_at_gaps_whichever_way_is_fastest(heights, gap, skipped):
+    lows, highs = np.empty(len(heights)), np.empty(len(heights))
+    padded = np.array([9.0] * skipped + heights + [-9.0])
+    n = kernels_tiles.split_at_gaps(padded, skipped, skipped + len(heights), gap, lows, highs)
+    expected = naive.intervals(heights, gap)
+    assert lows[:n].tolist() == [group[0] for group in expected]
+    assert highs[:n].tolist() == [group[-1] for group in expected]
+
+
 @given(seed=st.integers(0, 1000), cell=st.tuples(st.integers(-15, 15), st.integers(-15, 15)))
 @settings(deadline=None, max_examples=30)
 def test_the_variance_that_a_pose_gives_is_that_of_a_moved_pose(seed, cell):
