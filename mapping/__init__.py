@@ -7,7 +7,23 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from mapping.changes import ChangeDetector
+    from mapping.collision import SweepReport, Verdict, spheres_are_free, sweep
+    from mapping.conversions import (
+        depth_to_points,
+        mesh_to_points,
+        points_to_depth,
+        points_to_mesh,
+        points_to_range_image,
+        points_to_tsdf,
+        range_image_to_points,
+        register_color,
+        surfels_to_points,
+        tsdf_to_occupancy,
+    )
     from mapping.datasets import open_dataset
+    from mapping.drivable import label_points, label_range_image
+    from mapping.elevation import ElevationMap, ExtendedElevationMap, HeightMap
     from mapping.errors import DatasetError, InvalidObservation, InvalidParameter, MappingError, PoseUnavailable
     from mapping.esdf import EsdfMap
     from mapping.frames import FrameTree
@@ -16,6 +32,7 @@ if TYPE_CHECKING:
     from mapping.layer import Changed, MapLayer
     from mapping.layered import LayeredMap
     from mapping.mesh import Mesh
+    from mapping.multilevel import MultiLevelMap
     from mapping.observations import (
         AgentPose,
         ClassInfo,
@@ -28,21 +45,72 @@ if TYPE_CHECKING:
         Transform,
     )
     from mapping.occupancy import OccupancyMap
-    from mapping.octomap import read_octomap
+    from mapping.octomap import read_octomap, write_octomap
+    from mapping.octomap_tree import OctoMapTree
+    from mapping.octree import Leaves
     from mapping.planes import Plane, PlaneMap, extract_planes
+    from mapping.points import PointMap
+    from mapping.range_view import RangeView
+    from mapping.raycast import VirtualView
     from mapping.semantics import SemanticMap
+    from mapping.sensors import LidarModel
+    from mapping.sight import Hits
+    from mapping.surfels import SurfelMap, Surfels
+    from mapping.traversability import TerrainLimits, Traversability
     from mapping.tsdf import TsdfMap
+    from mapping.view import DepthView
 
 _HOMES = {
+    "changes": ("ChangeDetector",),
+    "collision": (
+        "SweepReport",
+        "Verdict",
+        "spheres_are_free",
+        "sweep",
+    ),
+    "conversions": (
+        "depth_to_points",
+        "mesh_to_points",
+        "points_to_depth",
+        "points_to_mesh",
+        "points_to_range_image",
+        "points_to_tsdf",
+        "range_image_to_points",
+        "register_color",
+        "surfels_to_points",
+        "tsdf_to_occupancy",
+    ),
     "datasets": ("open_dataset",),
-    "errors": ("DatasetError", "InvalidObservation", "InvalidParameter", "MappingError", "PoseUnavailable"),
+    "drivable": (
+        "label_points",
+        "label_range_image",
+    ),
+    "elevation": (
+        "ElevationMap",
+        "ExtendedElevationMap",
+        "HeightMap",
+    ),
+    "errors": (
+        "DatasetError",
+        "InvalidObservation",
+        "InvalidParameter",
+        "MappingError",
+        "PoseUnavailable",
+    ),
     "esdf": ("EsdfMap",),
     "frames": ("FrameTree",),
-    "geometry": ("SE3", "CameraIntrinsics"),
+    "geometry": (
+        "SE3",
+        "CameraIntrinsics",
+    ),
     "instances": ("InstanceMap",),
-    "layer": ("Changed", "MapLayer"),
+    "layer": (
+        "Changed",
+        "MapLayer",
+    ),
     "layered": ("LayeredMap",),
     "mesh": ("Mesh",),
+    "multilevel": ("MultiLevelMap",),
     "observations": (
         "AgentPose",
         "ClassInfo",
@@ -55,10 +123,33 @@ _HOMES = {
         "Transform",
     ),
     "occupancy": ("OccupancyMap",),
-    "octomap": ("read_octomap",),
-    "planes": ("Plane", "PlaneMap", "extract_planes"),
+    "octomap": (
+        "read_octomap",
+        "write_octomap",
+    ),
+    "octomap_tree": ("OctoMapTree",),
+    "octree": ("Leaves",),
+    "planes": (
+        "Plane",
+        "PlaneMap",
+        "extract_planes",
+    ),
+    "points": ("PointMap",),
+    "range_view": ("RangeView",),
+    "raycast": ("VirtualView",),
     "semantics": ("SemanticMap",),
+    "sensors": ("LidarModel",),
+    "sight": ("Hits",),
+    "surfels": (
+        "SurfelMap",
+        "Surfels",
+    ),
+    "traversability": (
+        "TerrainLimits",
+        "Traversability",
+    ),
     "tsdf": ("TsdfMap",),
+    "view": ("DepthView",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -66,34 +157,68 @@ __all__ = [
     "SE3",
     "AgentPose",
     "CameraIntrinsics",
+    "ChangeDetector",
     "Changed",
     "ClassInfo",
     "DatasetError",
+    "DepthView",
     "Detection",
     "Detections",
+    "ElevationMap",
     "EsdfMap",
+    "ExtendedElevationMap",
     "FrameTree",
+    "HeightMap",
+    "Hits",
     "InstanceMap",
     "InvalidObservation",
     "InvalidParameter",
     "LabelSpace",
     "LayeredMap",
+    "Leaves",
+    "LidarModel",
     "MapLayer",
     "MappingError",
     "Mesh",
+    "MultiLevelMap",
     "OccupancyMap",
+    "OctoMapTree",
     "Plane",
     "PlaneMap",
+    "PointMap",
     "PoseUnavailable",
+    "RangeView",
     "RgbdImage",
     "RobotDescription",
     "Scan",
     "SemanticMap",
+    "SurfelMap",
+    "Surfels",
+    "SweepReport",
+    "TerrainLimits",
     "Transform",
+    "Traversability",
     "TsdfMap",
+    "Verdict",
+    "VirtualView",
+    "depth_to_points",
     "extract_planes",
+    "label_points",
+    "label_range_image",
+    "mesh_to_points",
     "open_dataset",
+    "points_to_depth",
+    "points_to_mesh",
+    "points_to_range_image",
+    "points_to_tsdf",
+    "range_image_to_points",
     "read_octomap",
+    "register_color",
+    "spheres_are_free",
+    "surfels_to_points",
+    "sweep",
+    "tsdf_to_occupancy",
+    "write_octomap",
 ]
 
 
