@@ -11,12 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from mapping.errors import InvalidObservation, InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import BLOCK_VOXELS, BlockStore, as_blocks, as_points, new_table, read_only
-from mapping.kernels import surface, tsdf, visibility
+from mapping.kernels import raycast, surface, tsdf, visibility
 from mapping.layer import Changed, MapLayer, require
 from mapping.view import DepthView, as_pose
 
 if TYPE_CHECKING:
     from mapping.mesh import Mesh
+    from mapping.raycast import VirtualView
 
 Array: TypeAlias = NDArray[Any]
 
@@ -71,6 +72,7 @@ class TsdfMap(MapLayer):
         self.carve = bool(carve)
         self.store = BlockStore({"distance": np.float32, "weight": np.float32}, size)
         self._samples = np.empty((_CHUNK, BLOCK_VOXELS, 6), np.float32)  # scratch of `surface`
+        self._boxes, self._boxed_at = np.empty((0, 6), np.int8), 0  # of `surface_boxes`
         if with_color:
             self._keep_color()
 
@@ -205,6 +207,53 @@ class TsdfMap(MapLayer):
         A surface seen at a grazing angle changes fast across the ray, hence not less.
         """
         return 1.5 * self.truncation_m
+
+    def surface_boxes(self) -> NDArray[np.int8]:
+        """(n_blocks, 6) the box about the surface in each block, see `mapping.kernels.raycast.box_surfaces`; only the
+        blocks that changed since the last call, and their neighbours, are looked at."""
+        store = self.store
+        boxes = np.empty((store.n_blocks, 6), np.int8)
+        boxes[: len(self._boxes)] = self._boxes
+        slots = self.changed_near(self._boxed_at, -1, 0)
+        fresh = np.empty((len(slots), 6), np.int8)
+        raycast.box_surfaces(
+            store.table, store.fields["distance"], store.fields["weight"], self.max_jump_m,
+            as_blocks(self.block_ijk[slots]), fresh,
+        )  # fmt: skip
+        boxes[slots] = fresh
+        self._boxes, self._boxed_at = boxes, self.revision
+        return boxes
+
+    def changed_near(self, revision: int, low: int = -1, high: int = 1) -> NDArray[np.int64]:
+        """The slots (n,), in order, of the blocks that changed after `revision` and of those that lie `low` … `high`
+        blocks from one along each axis, as far as they exist: whatever reads a block's neighbours changed there."""
+        changed = self.changed_since(revision).blocks
+        offsets = np.stack(np.meshgrid(*[np.arange(low, high + 1, dtype=np.int32)] * 3, indexing="ij"), -1)
+        slots = np.zeros(self.store.n_blocks, np.bool_)
+        for offset in offsets.reshape(-1, 3):
+            found = self.store.find(changed + offset)
+            slots[found[found >= 0]] = True
+        return np.flatnonzero(slots)
+
+    def colors_at(self, p_map: ArrayLike) -> NDArray[np.uint8]:
+        """The colour (N, 3) uint8 at each point (N, 3) [m], between the voxels about it; 0 where none has a colour."""
+        points = as_points(p_map)
+        colors = np.zeros((len(points), 3), np.uint8)
+        if self.has_color:
+            tsdf.blend_colors(self.store.table, self.store.fields["color"], self.voxel_size_m, points, colors)
+        return colors
+
+    def render(
+        self,
+        intrinsics: CameraIntrinsics | Mapping[str, float],
+        T_map_camera: SE3 | ArrayLike,
+        *,
+        max_range_m: float | None = None,
+    ) -> VirtualView:
+        """The image that a camera would take of the map; see `mapping.raycast`."""
+        from mapping.raycast import render
+
+        return render(self, intrinsics, T_map_camera, max_range_m=max_range_m)
 
     def mesh(self) -> Mesh:
         """The surface as triangles; see `mapping.mesh`."""

@@ -24,6 +24,19 @@ def as_pose(pose: SE3 | ArrayLike, name: str) -> SE3:
     return pose if isinstance(pose, SE3) else SE3.from_matrix(pose)
 
 
+def as_camera(intrinsics: CameraIntrinsics | Mapping[str, float]) -> CameraIntrinsics:
+    """A camera model, or its fields by name, as `CameraIntrinsics`."""
+    return intrinsics if isinstance(intrinsics, CameraIntrinsics) else CameraIntrinsics.model_validate(intrinsics)
+
+
+def camera_arrays(model: CameraIntrinsics, pose: SE3) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A camera (18,) and its pose (12,) as kernels take them, see `mapping.kernels.visibility`."""
+    to_camera = pose.rotation.T
+    intrinsics = (model.fx, model.fy, model.cx, model.cy, model.width, model.height)
+    camera = np.concatenate([to_camera.ravel(), -to_camera @ pose.translation, intrinsics])
+    return camera, np.concatenate([pose.rotation.ravel(), pose.translation])
+
+
 def as_depth_m(depth: Array) -> NDArray[np.float32]:
     """A depth image as float32 metres: float32 is metres, uint16 millimetres; 0 or NaN = not measured."""
     image = np.asarray(depth)
@@ -50,21 +63,18 @@ class DepthView:
         T_map_camera: SE3 | ArrayLike,
         max_range_m: float,
     ) -> None:
-        model = intrinsics if isinstance(intrinsics, CameraIntrinsics) else CameraIntrinsics.model_validate(intrinsics)
+        model = as_camera(intrinsics)
         pose = as_pose(T_map_camera, "T_map_camera")
         depth_m = as_depth_m(depth)
         if depth_m.shape != (model.height, model.width):
             raise InvalidObservation(
                 f"depth has shape {depth_m.shape}, but intrinsics say (height, width) = {(model.height, model.width)}"
             )
-        intrinsics_row = (model.fx, model.fy, model.cx, model.cy, model.width, model.height)
-        to_camera = pose.rotation.T
-        self.camera: NDArray[np.float64] = np.concatenate(
-            [to_camera.ravel(), -to_camera @ pose.translation, intrinsics_row]
-        )
-        """The camera as kernels take it, see `mapping.kernels.visibility`."""
-        self.pose: NDArray[np.float64] = np.concatenate([pose.rotation.ravel(), pose.translation])
+        self.camera: NDArray[np.float64]
+        """(18,) the camera as kernels take it, see `mapping.kernels.visibility`."""
+        self.pose: NDArray[np.float64]
         """(12,) R_map_camera row by row, then t_map_camera."""
+        self.camera, self.pose = camera_arrays(model, pose)
         self.reach: NDArray[np.float32] = np.empty_like(depth_m)
         """(H, W) float32 see `mapping.kernels.visibility`."""
         visibility.measure_reach(depth_m, self.camera, float(max_range_m), self.reach)

@@ -24,6 +24,8 @@ BEHIND = 0.02
 """Weight of a distance far behind the surface: enough where nothing else is known."""
 COLOR_STEPS = 256.0
 """Colours are kept in 1/256 of an 8-bit step, so that running means do not stick."""
+CHUNK = 4096
+"""Points that one thread looks up at a time."""
 
 
 @njit(cache=True, inline="always")
@@ -250,33 +252,95 @@ def fold_sums(
         changed[n] = difference != 0
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
+def sample_field(
+    table: Array, distance: Array, weight: Array, i: Int, j: Int, k: Int, slot: Int, fx: Float, fy: Float, fz: Float
+) -> Float:
+    """Distance [m] between the eight voxels from (i, j, k) on, at the shares fx, fy, fz of the way; NaN where one is
+    unknown. `slot` is that of the first one's block."""
+    if slot < 0:
+        return np.nan
+    li, lj, lk = i & 7, j & 7, k & 7
+    if li < 7 and lj < 7 and lk < 7:  # all in one block
+        d, w = distance[slot], weight[slot]
+        n = li << 6 | lj << 3 | lk
+        least = min(min(w[n], w[n + 1]), min(w[n + 8], w[n + 9]))
+        least = min(least, min(min(w[n + 64], w[n + 65]), min(w[n + 72], w[n + 73])))
+        a, b = d[n] + (d[n + 64] - d[n]) * fx, d[n + 1] + (d[n + 65] - d[n + 1]) * fx
+        c, e = d[n + 8] + (d[n + 72] - d[n + 8]) * fx, d[n + 9] + (d[n + 73] - d[n + 9]) * fx
+        a, b = a + (c - a) * fy, b + (e - b) * fy
+        return a + (b - a) * fz if least > np.float32(0.0) else np.nan
+    total = 0.0
+    last_i, last_j, last_k = i >> 3, j >> 3, k >> 3
+    for corner in range(8):
+        di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
+        bi, bj, bk = (i + di) >> 3, (j + dj) >> 3, (k + dk) >> 3
+        if bi != last_i or bj != last_j or bk != last_k:
+            slot = lookup(table, bi, bj, bk)
+            last_i, last_j, last_k = bi, bj, bk
+        local = ((i + di) & 7) << 6 | ((j + dj) & 7) << 3 | ((k + dk) & 7)
+        if slot < 0 or not weight[slot, local] > np.float32(0.0):
+            return np.nan
+        share = (fx if di else 1.0 - fx) * (fy if dj else 1.0 - fy) * (fz if dk else 1.0 - fz)
+        total += share * distance[slot, local]
+    return total
+
+
+@njit(cache=True, parallel=True)
 def interpolate(table: Array, distance: Array, weight: Array, voxel_size: Float, p_map: Array, values: Array) -> None:
     """Trilinear signed distance at each point (n, 3) [m] between the eight voxel centres about it; fills values (n,),
     NaN where one of them is unknown."""
     per_voxel = 1.0 / voxel_size
     bound = 8.0 * BLOCK_LIMIT - 2.0
-    last_i, last_j, last_k = np.int64(BLOCK_LIMIT), np.int64(0), np.int64(0)
-    slot: Int = np.int64(-1)
-    for n in range(p_map.shape[0]):
-        x, y, z = p_map[n, 0] * per_voxel - 0.5, p_map[n, 1] * per_voxel - 0.5, p_map[n, 2] * per_voxel - 0.5
-        if not (abs(x) < bound and abs(y) < bound and abs(z) < bound):  # also NaN
-            values[n] = np.nan
-            continue
-        i0, j0, k0 = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
-        fx, fy, fz = x - i0, y - j0, z - k0
-        total = 0.0
-        for corner in range(8):
-            di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
-            i, j, k = i0 + di, j0 + dj, k0 + dk
+    chunks = (p_map.shape[0] + CHUNK - 1) // CHUNK
+    for chunk in prange(chunks):
+        last_i, last_j, last_k = np.int64(BLOCK_LIMIT), np.int64(0), np.int64(0)
+        slot: Int = np.int64(-1)
+        for n in range(chunk * CHUNK, min((chunk + 1) * CHUNK, p_map.shape[0])):
+            x, y, z = p_map[n, 0] * per_voxel - 0.5, p_map[n, 1] * per_voxel - 0.5, p_map[n, 2] * per_voxel - 0.5
+            if not (abs(x) < bound and abs(y) < bound and abs(z) < bound):  # also NaN
+                values[n] = np.nan
+                continue
+            i, j, k = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
             bi, bj, bk = i >> 3, j >> 3, k >> 3
             if bi != last_i or bj != last_j or bk != last_k:
                 slot = lookup(table, bi, bj, bk)
                 last_i, last_j, last_k = bi, bj, bk
-            local = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
-            if slot < 0 or not weight[slot, local] > 0.0:
-                total = np.nan
-                break
-            share = (fx if di else 1.0 - fx) * (fy if dj else 1.0 - fy) * (fz if dk else 1.0 - fz)
-            total += share * distance[slot, local]
-        values[n] = total
+            values[n] = sample_field(table, distance, weight, i, j, k, slot, x - i, y - j, z - k)
+
+
+@njit(cache=True, parallel=True)
+def blend_colors(table: Array, color: Array, voxel_size: Float, p_map: Array, colors: Array) -> None:
+    """Colour at each point (n, 3) [m]: the mean of the eight voxels about it that have one, by nearness.
+
+    color  : (capacity, 512, 3) uint16 in 1/256 of a step, 0 0 0 where there is none
+    colors : (n, 3) uint8, filled; 0 where none of the eight has a colour
+    """
+    per_voxel = 1.0 / voxel_size
+    chunks = (p_map.shape[0] + CHUNK - 1) // CHUNK
+    for chunk in prange(chunks):
+        last_i, last_j, last_k = np.int64(BLOCK_LIMIT), np.int64(0), np.int64(0)
+        slot: Int = np.int64(-1)
+        for n in range(chunk * CHUNK, min((chunk + 1) * CHUNK, p_map.shape[0])):
+            x, y, z = p_map[n, 0] * per_voxel - 0.5, p_map[n, 1] * per_voxel - 0.5, p_map[n, 2] * per_voxel - 0.5
+            i, j, k = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
+            fx, fy, fz = x - i, y - j, z - k
+            red = green = blue = total = 0.0
+            for corner in range(8):
+                di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
+                bi, bj, bk = (i + di) >> 3, (j + dj) >> 3, (k + dk) >> 3
+                if bi != last_i or bj != last_j or bk != last_k:
+                    slot = lookup(table, bi, bj, bk)
+                    last_i, last_j, last_k = bi, bj, bk
+                if slot < 0:
+                    continue
+                rgb = color[slot, ((i + di) & 7) << 6 | ((j + dj) & 7) << 3 | ((k + dk) & 7)]
+                if rgb[0] == 0 and rgb[1] == 0 and rgb[2] == 0:
+                    continue
+                share = (fx if di else 1.0 - fx) * (fy if dj else 1.0 - fy) * (fz if dk else 1.0 - fz) + 1e-6
+                red, green, blue = red + share * rgb[0], green + share * rgb[1], blue + share * rgb[2]
+                total += share
+            scale = 1.0 / (COLOR_STEPS * total) if total > 0.0 else 0.0
+            colors[n, 0] = np.uint8(red * scale)
+            colors[n, 1] = np.uint8(green * scale)
+            colors[n, 2] = np.uint8(blue * scale)
