@@ -68,6 +68,11 @@ class EsdfMap(MapLayer):
         return {"voxel_size_m": self.voxel_size_m, "truncation_m": self.truncation_m}
 
     @property
+    def exact_below_m(self) -> float:
+        """Shorter distances are exact between the centres of voxels, but for half a voxel [m]."""
+        return self.truncation_m if isinstance(self.source, OccupancyMap) else 0.0
+
+    @property
     def memory_bytes(self) -> int:
         return self.store.memory_bytes + self._planes.nbytes + self._reach.nbytes
 
@@ -185,10 +190,12 @@ class EsdfMap(MapLayer):
         of them is unknown; with `gradient` also its gradient (N, 3), which points away from the nearest surface."""
         self.update()
         points = as_points(p_map)
-        values, gradients = np.empty(len(points)), np.empty((len(points), 3))
-        esdf.interpolate_with_gradient(
-            self.store.table, self.store.fields["distance"], self.voxel_size_m, points, values, gradients
-        )
+        values, gradients = np.empty(len(points)), np.empty((len(points) if gradient else 0, 3))
+        field = (self.store.table, self.store.fields["distance"], self.voxel_size_m, points)
+        if len(points) <= esdf.POINTS:  # starting threads would take longer
+            esdf.interpolate_some(*field, 0, len(points), values, gradients)
+        else:
+            esdf.interpolate(*field, values, gradients)
         return (values, gradients) if gradient else values
 
 

@@ -1,8 +1,11 @@
-"""Slow, obvious twins of the distance field: every voxel against every site, dense arrays."""
+"""Slow, obvious twins of the distance field and of what bodies touch in it: every voxel is looked at."""
 
 from __future__ import annotations
 
+from math import floor
+
 import numpy as np
+import shapely
 
 from mapping.grid import LOCAL_IJK
 
@@ -40,3 +43,37 @@ def signed_distances(blocks: np.ndarray, evidence: np.ndarray, voxel_size: float
     longest = np.float32(truncation)
     signed = np.where(free, np.minimum(outside, longest), np.where(occupied, -np.minimum(inside, longest), np.nan))
     return np.stack([signed[tuple((LOCAL_IJK + 8 * (block - first)).T)] for block in blocks]).astype(np.float32)
+
+
+# -- bodies ----------------------------------------------------------------------------------------------------
+
+
+def touched_by_sphere(centre: np.ndarray, radius: float, voxel_size: float) -> np.ndarray:
+    """The voxels (n, 3) whose cube has a point inside the sphere."""
+    low = np.floor((centre - radius) / voxel_size).astype(int) - 1
+    high = np.floor((centre + radius) / voxel_size).astype(int) + 2
+    voxels = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1).reshape(-1, 3)
+    nearest = np.clip(centre, voxels * voxel_size, (voxels + 1) * voxel_size)
+    return voxels[np.linalg.norm(nearest - centre, axis=1) < radius]
+
+
+def touched_by_prism(plan: shapely.Polygon, low: float, high: float, voxel_size: float) -> np.ndarray:
+    """The voxels (n, 3) whose cube has a point inside the prism over `plan` [m] from `low` to `high` [m]."""
+    west, south, east, north = (np.array(plan.bounds) / voxel_size).tolist()
+    columns = [
+        (i, j)
+        for i in range(floor(west) - 1, floor(east) + 2)
+        for j in range(floor(south) - 1, floor(north) + 2)
+        if plan.intersection(shapely.box(*(voxel_size * np.array([i, j, i + 1, j + 1])))).area > 1e-12
+    ]
+    levels = range(floor(low / voxel_size) - 1, floor(high / voxel_size) + 2)
+    levels = [k for k in levels if min(high, (k + 1) * voxel_size) - max(low, k * voxel_size) > 1e-9]
+    return np.array([(i, j, k) for i, j in columns for k in levels])
+
+
+def verdict(codes: np.ndarray) -> int:
+    """What is known of a body that touches voxels of these classes (1 occupied, 0 free, −1 unknown): 0 it collides, −1
+    nothing, 1 it is free."""
+    if (codes == 1).any():
+        return 0
+    return -1 if (codes == -1).any() else 1

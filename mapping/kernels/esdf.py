@@ -9,7 +9,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from mapping.kernels.hashing import BLOCK_LIMIT, lookup
-from mapping.kernels.nearest import find_nearest, gap
+from mapping.kernels.nearest import LOWEST, find_nearest, gap
 from mapping.kernels.sites import BEHIND, FREE, OCCUPIED
 from mapping.kernels.surface import slope
 
@@ -17,6 +17,8 @@ Array: TypeAlias = NDArray[Any]
 Int: TypeAlias = Any
 Float: TypeAlias = Any
 
+POINTS = 2048
+"""Points that one thread looks up at a time."""
 _MANY = 128
 """So many changes of sites cost as much as looking for the nearest sites of all voxels of a block."""
 
@@ -60,23 +62,42 @@ def apply_sites(words: Array, toward: Array, reach: Int, vanish: bool, far: Int,
     wanted  : (512,) bool; a site that vanishes leaves all voxels that are as far as it
     """
     planar = np.empty(8, np.int32)
-    for bit in range(512):
-        if (words[bit >> 6] >> np.uint64(bit & 63)) & np.uint64(1) == 0:
+    for lx in range(8):
+        if words[lx] == 0:
             continue
-        s0, s1, s2 = toward[0] + (bit >> 6), toward[1] + ((bit >> 3) & 7), toward[2] + (bit & 7)
-        if gap(s0, s0, 0, 7) ** 2 + gap(s1, s1, 0, 7) ** 2 + gap(s2, s2, 0, 7) ** 2 > reach:
-            continue
-        for z in range(8):
-            planar[z] = (s2 - z) ** 2
-        for row in range(64):
-            across = np.int32((s0 - (row >> 3)) ** 2 + (s1 - (row & 7)) ** 2)
-            for z in range(8):
-                w = row << 3 | z
-                away = np.int32(planar[z] + across)
-                if vanish:
-                    wanted[w] |= (away == squared[w]) & (away < far)
-                else:
-                    squared[w] = min(squared[w], away)
+        for ly in range(8):
+            byte = np.int64((words[lx] >> np.uint64(8 * ly)) & np.uint64(255))
+            s0, s1 = toward[0] + lx, toward[1] + ly
+            between = gap(s0, s0, 0, 7) ** 2 + gap(s1, s1, 0, 7) ** 2
+            while byte:
+                s2 = toward[2] + LOWEST[byte]
+                byte &= byte - 1
+                if between + gap(s2, s2, 0, 7) ** 2 > reach:
+                    continue
+                for z in range(8):
+                    planar[z] = (s2 - z) ** 2
+                for row in range(64):
+                    across = np.int32((s0 - (row >> 3)) ** 2 + (s1 - (row & 7)) ** 2)
+                    for z in range(8):
+                        w = row << 3 | z
+                        away = np.int32(planar[z] + across)
+                        if vanish:
+                            wanted[w] |= (away == squared[w]) & (away < far)
+                        else:
+                            squared[w] = min(squared[w], away)
+
+
+@njit(cache=True)
+def count_changes(appeared: Array, vanished: Array, plane: Int, rows: Array) -> Int:
+    """How many sites of a plane changed in the `rows` (n,) of appeared, vanished (k, 2, 8)."""
+    count = 0
+    for n in rows:
+        for x in range(8):
+            both = appeared[n, plane, x] | vanished[n, plane, x]
+            while both:
+                both &= both - np.uint64(1)
+                count += 1
+    return count
 
 
 @njit(cache=True, parallel=True)
@@ -115,6 +136,7 @@ def mend_from_classes(
         wanted = np.empty(512, np.bool_)
         toward = np.empty(3, np.int64)
         different = False
+        rows = changed_of[first_of[t] : first_of[t + 1]]
         for plane in range(2):
             is_inside = plane == FREE
             side = np.float32(-1.0 if is_inside else 1.0)
@@ -123,25 +145,18 @@ def mend_from_classes(
             reach[slot, plane] = 0
             if not decode(distance[slot], sides, side, voxel_size, values, squared, wanted):
                 continue
-            count = 0
-            for p in range(first_of[t], first_of[t + 1]):
-                for a in range(8):
-                    both = appeared[changed_of[p], plane, a] | vanished[changed_of[p], plane, a]
-                    while both:
-                        both &= both - np.uint64(1)
-                        count += 1
+            count = count_changes(appeared, vanished, plane, rows)
+            if count == 0 and not wanted.any():
+                reach[slot, plane] = limit
+                continue
             if count > _MANY:
                 for w in range(512):
                     wanted[w] = squared[w] >= 0
             else:
                 for vanish in (True, False):
-                    for p in range(first_of[t], first_of[t + 1]):
-                        n = changed_of[p]
-                        toward[0], toward[1], toward[2] = (
-                            8 * (cells[n, 0] - x),
-                            8 * (cells[n, 1] - y),
-                            8 * (cells[n, 2] - z),
-                        )
+                    for n in rows:
+                        for a in range(3):
+                            toward[a] = 8 * (cells[n, a] - targets[t, a])
                         words = vanished[n, plane] if vanish else appeared[n, plane]
                         apply_sites(words, toward, limit, vanish, far, squared, wanted)
             find_nearest(planes, plane, grid, (x, y, z), offsets, far, wanted, squared, nearest)
@@ -263,42 +278,75 @@ def mend_from_crossings(
 
 
 @njit(cache=True)
-def interpolate_with_gradient(
-    table: Array, distance: Array, voxel_size: Float, p_map: Array, values: Array, gradients: Array
+def read_corners(table: Array, distance: Array, i: Int, j: Int, k: Int, corners: Array) -> bool:
+    """The distances of the voxels (i … i + 1, j … j + 1, k … k + 1), fills corners (8,); whether all have a block."""
+    slot = lookup(table, i >> 3, j >> 3, k >> 3)
+    if slot < 0:
+        return False
+    x, y, z = i & 7, j & 7, k & 7
+    if x < 7 and y < 7 and z < 7:
+        stored = distance[slot]
+        local = x << 6 | y << 3 | z
+        corners[0], corners[1] = stored[local], stored[local + 1]
+        corners[2], corners[3] = stored[local + 8], stored[local + 9]
+        corners[4], corners[5] = stored[local + 64], stored[local + 65]
+        corners[6], corners[7] = stored[local + 72], stored[local + 73]
+        return True
+    bi, bj, bk = i >> 3, j >> 3, k >> 3
+    for corner in range(8):
+        a, b, c = i + (corner >> 2), j + ((corner >> 1) & 1), k + (corner & 1)
+        if a >> 3 != bi or b >> 3 != bj or c >> 3 != bk:
+            bi, bj, bk = a >> 3, b >> 3, c >> 3
+            slot = lookup(table, bi, bj, bk)
+            if slot < 0:
+                return False
+        corners[corner] = distance[slot, (a & 7) << 6 | (b & 7) << 3 | (c & 7)]
+    return True
+
+
+@njit(cache=True)
+def interpolate_some(
+    table: Array,
+    distance: Array,
+    voxel_size: Float,
+    p_map: Array,
+    first: Int,
+    last: Int,
+    values: Array,
+    gradients: Array,
 ) -> None:
-    """Trilinear distance (n,) [m] and its gradient (n, 3) at each point (n, 3) [m], in place; NaN where one of the
-    eight voxels about it is unknown."""
+    """Trilinear distance (n,) [m] and its gradient (n, 3) at the points (n, 3) [m] from `first` to before `last`, in
+    place; NaN where one of the eight voxels about it is unknown. gradients may have no rows: then there are none."""
     per_voxel = 1.0 / voxel_size
     bound = 8.0 * BLOCK_LIMIT - 2.0
-    last_i, last_j, last_k = np.int64(BLOCK_LIMIT), np.int64(0), np.int64(0)
-    slot: Int = np.int64(-1)
-    for n in range(p_map.shape[0]):
-        values[n] = np.nan
-        gradients[n, :] = np.nan
+    c = np.empty(8, np.float64)
+    for n in range(first, last):
         x, y, z = p_map[n, 0] * per_voxel - 0.5, p_map[n, 1] * per_voxel - 0.5, p_map[n, 2] * per_voxel - 0.5
-        if not (abs(x) < bound and abs(y) < bound and abs(z) < bound):  # also NaN
-            continue
-        i0, j0, k0 = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
-        fx, fy, fz = x - i0, y - j0, z - k0
-        total = g0 = g1 = g2 = 0.0
-        for corner in range(8):
-            di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
-            i, j, k = i0 + di, j0 + dj, k0 + dk
-            bi, bj, bk = i >> 3, j >> 3, k >> 3
-            if bi != last_i or bj != last_j or bk != last_k:
-                slot = lookup(table, bi, bj, bk)
-                last_i, last_j, last_k = bi, bj, bk
-            if slot < 0:
-                total = np.nan
-                break
-            d = distance[slot, (i & 7) << 6 | (j & 7) << 3 | (k & 7)]
-            wx, wy, wz = (fx if di else 1.0 - fx), (fy if dj else 1.0 - fy), (fz if dk else 1.0 - fz)
-            total += wx * wy * wz * d
-            g0 += (1.0 if di else -1.0) * wy * wz * d
-            g1 += (1.0 if dj else -1.0) * wx * wz * d
-            g2 += (1.0 if dk else -1.0) * wx * wy * d
-        if not np.isnan(total):
-            values[n] = total
-            gradients[n, 0] = g0 * per_voxel
-            gradients[n, 1] = g1 * per_voxel
-            gradients[n, 2] = g2 * per_voxel
+        found = False
+        if abs(x) < bound and abs(y) < bound and abs(z) < bound:  # not NaN either
+            i, j, k = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
+            found = read_corners(table, distance, i, j, k, c)
+            x, y, z = x - i, y - j, z - k
+        if not found:
+            c[:] = np.nan
+        # Along z, then y, then x.
+        z00, z01, z10, z11 = c[1] - c[0], c[3] - c[2], c[5] - c[4], c[7] - c[6]
+        v00, v01, v10, v11 = c[0] + z * z00, c[2] + z * z01, c[4] + z * z10, c[6] + z * z11
+        v0, v1 = v00 + y * (v01 - v00), v10 + y * (v11 - v10)
+        values[n] = v0 + x * (v1 - v0)
+        if gradients.shape[0]:
+            gradients[n, 0] = (v1 - v0) * per_voxel
+            gradients[n, 1] = ((1.0 - x) * (v01 - v00) + x * (v11 - v10)) * per_voxel
+            along_z = (1.0 - x) * ((1.0 - y) * z00 + y * z01) + x * ((1.0 - y) * z10 + y * z11)
+            gradients[n, 2] = along_z * per_voxel
+
+
+@njit(cache=True, parallel=True)
+def interpolate(
+    table: Array, distance: Array, voxel_size: Float, p_map: Array, values: Array, gradients: Array
+) -> None:
+    """`interpolate_some` for all points, many at a time."""
+    n_points = p_map.shape[0]
+    for part in prange((n_points + POINTS - 1) // POINTS):
+        last = min((part + 1) * POINTS, n_points)
+        interpolate_some(table, distance, voxel_size, p_map, part * POINTS, last, values, gradients)

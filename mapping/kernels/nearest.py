@@ -24,7 +24,7 @@ _ROOM = 1024
 """Sites tried at once: their number takes the low bits of an int32, and leaves enough for a squared distance."""
 _BITS = 10
 
-_LOWEST = np.array([0] + [(n & -n).bit_length() - 1 for n in range(1, 256)], np.int64)
+LOWEST = np.array([0] + [(n & -n).bit_length() - 1 for n in range(1, 256)], np.int64)
 """The lowest bit that is set in a byte."""
 
 
@@ -83,7 +83,7 @@ def find_central(
                 if byte == 0 or along_xy >= best:
                     continue
                 while byte:
-                    lz = _LOWEST[byte]
+                    lz = LOWEST[byte]
                     byte &= byte - 1
                     squared = along_xy + np.int64(2 * (z0 + lz) - c2) ** 2
                     if squared < best:
@@ -140,7 +140,7 @@ def gather_sites(
             if byte == 0 or ahead + lead_z[8] < 0:
                 continue
             while byte:
-                z = _LOWEST[byte]
+                z = LOWEST[byte]
                 byte &= byte - 1
                 if apart_z[z] <= room and ahead + lead_z[z] >= 0:
                     sites[0, count], sites[1, count], sites[2, count] = (
