@@ -173,7 +173,8 @@ class OccupancyMap(MapLayer):
 
     def integrate_range_view(self, view: RangeView) -> Changed:
         """Fuse a lidar range image that has been prepared already."""
-        blocks, kinds = view.blocks(self.block_size_m, front_m=self.voxel_size_m, back_m=0.0, with_free=True)
+        size = self.voxel_size_m
+        blocks, kinds = view.blocks(self.block_size_m, front_m=size, back_m=0.0, touch_m=0.5 * size, with_free=True)
         mixed, free = blocks[kinds == visibility.MIXED], blocks[kinds == visibility.FREE]
         scan = ScanBlocks(mixed, len(mixed) + 256)
         view.mark_free(mixed, self.voxel_size_m, scan.marks)

@@ -81,18 +81,19 @@ class RangeView:
         return -self._windows[0, ..., 0]
 
     def blocks(
-        self, block_size_m: float, *, front_m: float, back_m: float, with_free: bool
+        self, block_size_m: float, *, front_m: float, back_m: float, with_free: bool, touch_m: float = 0.0
     ) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
         """The blocks (n, 3) that the image sees and their kinds (n,): `visibility.MIXED` or, if asked for, `FREE`.
 
         front_m, back_m : how far before and behind a surface a block still counts as near it [m]
+        touch_m         : how far beside a beam it still counts as seen above and below what the rows answer for [m]
         """
         roots, level = self._roots(block_size_m, back_m)
         n = 1 << 14
         while True:
             blocks, kinds = np.empty((n, 3), np.int32), np.empty(n, np.uint8)
             count = range_visibility.list_blocks(
-                self._windows, self.lidar, self.model.spans, roots, level, block_size_m, front_m, back_m,
+                self._windows, self.lidar, self.model.spans, roots, level, block_size_m, front_m, back_m, touch_m,
                 with_free, blocks, kinds,
             )  # fmt: skip
             if count <= n:

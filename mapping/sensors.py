@@ -14,7 +14,7 @@ from mapping.kernels import lidar
 __all__ = ["LidarModel"]
 
 STEPS_PER_ROW = 32
-"""Kernels know elevations to this share of the narrowest row."""
+"""Kernels know the sine of an elevation to this share of the narrowest row, or of their largest table."""
 _MOST_STEPS = 1 << 17
 _WHOLE_TURN = 2.0 * np.pi
 
@@ -78,8 +78,13 @@ class LidarModel:
             )
         return LidarModel(np.linspace(highest, lowest, rows), columns, first_azimuth=first_azimuth, span=span)
 
+    def __repr__(self) -> str:
+        rows, columns = self.shape
+        highest, lowest = np.degrees(self.elevations[[0, -1]])
+        return f"LidarModel({rows} × {columns}, {highest:.4g}° … {lowest:.4g}°, span {np.degrees(self.span):.4g}°)"
+
     def _see(self) -> None:
-        """Prepare what kernels take, see `mapping.kernels.lidar`: its tables, and the last seven numbers of a lidar."""
+        """Prepare what kernels take, see `mapping.kernels.lidar`: its tables, and the last six numbers of a lidar."""
         e = self.elevations
         rows = len(e)
         gaps = -np.diff(e)
@@ -89,34 +94,30 @@ class LidarModel:
         low = np.sin(np.maximum(e - below, -0.5 * np.pi))
         high = np.sin(np.minimum(e + above, 0.5 * np.pi))
         high[1:] = np.where(gaps <= self.widest_gap, low[:-1], high[1:])  # neighbours meet, to the last digit
-        per_sine = STEPS_PER_ROW / (high - low).min()
-        steps = int(np.ceil((high[0] - low[-1]) * per_sine)) + 3  # the first and the last are outside
-        if steps > _MOST_STEPS:
-            raise InvalidParameter(f"elevations: expected rings farther apart, got {gaps.min():.3g} rad")
-        top = high[0] + 1.0 / per_sine
-        upper = top - (np.arange(steps) - 0.01) / per_sine  # a little above, for the rounding of who looks up
-        middle = upper - 0.51 / per_sine
+        per_sine = min(STEPS_PER_ROW / (high - low).min(), 0.5 * _MOST_STEPS)
+        steps = int(np.ceil(2.0 * per_sine)) + 1
+        upper = 1.0 - (np.arange(steps) - 0.01) / per_sine  # a little above, for the rounding of who looks up
+        middle = (upper - 0.51 / per_sine).clip(-1.0, 1.0)
         row = np.searchsorted(-low, -middle, side="left")
         answered = (row < rows) & (middle <= np.append(high, -2.0)[row])
-        row_at = np.searchsorted(-low, -upper, side="left")
+        nearest = np.searchsorted(-np.sin(0.5 * (e[1:] + e[:-1])), -middle, side="left")
+        row_of = nearest * self.columns + np.where(answered, 0, lidar.BESIDE)
+        off = np.arcsin(middle) - e[nearest]
         first_row = np.minimum.accumulate(np.where(answered, row, rows)[::-1])[::-1]
         last_row = np.maximum.accumulate(np.where(answered, row, -1))
         before = np.cumsum(answered) - answered
-        off = np.arcsin(middle.clip(-1.0, 1.0)) - e[row.clip(0, rows - 1)]
         per_radian = self.columns / self.span
         turn = _WHOLE_TURN * per_radian
         if abs(turn - self.columns) < 1e-6:
             turn = float(self.columns)
         offset = (self.first_azimuth * per_radian) % turn
         self.rings: NDArray[np.float64] = read_only(np.stack([np.append(low, -2.0), np.append(high, -2.0)], axis=1))
-        self.row_at: NDArray[np.int32] = read_only(row_at.astype(np.int32))
-        self.row_of: NDArray[np.int32] = read_only(
-            np.where(answered, row * self.columns, lidar.NO_PIXEL).astype(np.int32)
-        )
+        self.row_at: NDArray[np.int32] = read_only(np.searchsorted(-low, -upper, side="left").astype(np.int32))
+        self.row_of: NDArray[np.int32] = read_only(row_of.astype(np.int32))
         self.off_row: NDArray[np.float32] = read_only(off.astype(np.float32))
         self.spans: NDArray[np.int32] = read_only(np.stack([first_row, last_row, before], axis=1).astype(np.int32))
         self.seeing: NDArray[np.float64] = read_only(
-            np.array([offset, per_radian, self.columns, turn, top, per_sine, steps])
+            np.array([offset, per_radian, self.columns, turn, per_sine, steps])
         )
 
     @property

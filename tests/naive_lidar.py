@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise, product
 from math import asin, atan2, cos, floor, inf, isfinite, pi, sin, sqrt
 
 import numpy as np
@@ -14,28 +15,26 @@ UNSURE = 0.05
 """Share of a row or column: so near to a border, rounding may give the other one."""
 
 
-def beam_of(point: np.ndarray, model: LidarModel) -> tuple[tuple[int, int] | None, bool]:
-    """(row, column) of the beam nearest to a point in the sensor frame, None where none answers; and whether rounding
-    could not have changed it."""
+def beam_of(point: np.ndarray, model: LidarModel) -> tuple[tuple[int, int] | None, bool, bool]:
+    """(row, column) of the beam nearest to a point in the sensor frame, None outside the span; whether its row answers
+    for the point; and whether rounding could not have changed either."""
     x, y, z = point
     elevation, azimuth = asin(z / sqrt(x * x + y * y + z * z)), atan2(y, x)
     step = model.span / model.columns
     e = model.elevations
-    half = [abs(b - a) / 2 for a, b in zip(e[:-1], e[1:], strict=True)] or [step / 2]
-    found, sure = None, True
+    half = [abs(b - a) / 2 for a, b in pairwise(e)] or [step / 2]
+    answers, sure = False, True
     for row in range(len(e)):
         above = min(half[max(row - 1, 0)], model.widest_gap / 2)
         below = min(half[min(row, len(half) - 1)], model.widest_gap / 2)
         narrow = UNSURE * min(above, below)
-        if e[row] - below <= elevation <= e[row] + above:
-            found = row
+        answers = answers or e[row] - below <= elevation <= e[row] + above
         sure = sure and min(abs(elevation - e[row] + below), abs(elevation - e[row] - above)) > narrow
+    row = min(range(len(e)), key=lambda r: abs(elevation - e[r]))
     around = [(azimuth - a + pi) % (2 * pi) - pi for a in model.azimuths]
     column = min(range(model.columns), key=lambda c: abs(around[c]))
     sure = sure and abs(abs(around[column]) - step / 2) > UNSURE * step
-    if found is None or abs(around[column]) > step / 2:
-        return None, sure
-    return (found, column), sure
+    return (None if abs(around[column]) > step / 2 else (row, column)), answers, sure
 
 
 def direction_of(row: int, column: int, model: LidarModel) -> np.ndarray:
@@ -46,12 +45,8 @@ def direction_of(row: int, column: int, model: LidarModel) -> np.ndarray:
 def neighbours(row: int, column: int, model: LidarModel) -> list[tuple[int, int]]:
     """The pixel and those about it; the columns of a whole turn go round."""
     rows, columns = model.shape
-    found = []
-    for r in range(max(row - 1, 0), min(row + 2, rows)):
-        for c in range(column - 1, column + 2):
-            if 0 <= c < columns or abs(model.span - 2 * pi) < 1e-9:
-                found.append((r, c % columns))
-    return found
+    near = product(range(max(row - 1, 0), min(row + 2, rows)), range(column - 1, column + 2))
+    return [(r, c % columns) for r, c in near if 0 <= c < columns or abs(model.span - 2 * pi) < 1e-9]
 
 
 def reach_of(value: float, max_range: float) -> float:
@@ -65,7 +60,7 @@ def is_free(
     """Whether the range image sees the voxel free; None where rounding decides."""
     point = T.inverse() @ centre_of(voxel, voxel_size)
     r = float(np.linalg.norm(point))
-    beam, sure = beam_of(point, model)
+    beam, answers, sure = beam_of(point, model)
     if not sure or r < 1e-6:
         return None
     if beam is None:
@@ -76,7 +71,7 @@ def is_free(
     rounding = 0.02 * voxel_size + 2e-3 * r * model.span / model.columns
     if abs(aside - voxel_size / 2) < rounding or abs(r - reach) < 1e-4 or abs(r + 0.87 * voxel_size - clear) < 1e-4:
         return None
-    return (r < reach and aside < voxel_size / 2) or r + 0.87 * voxel_size < clear
+    return (r < reach and aside < voxel_size / 2) or (answers and r + 0.87 * voxel_size < clear)
 
 
 def hits(ranges: np.ndarray, model: LidarModel, T: SE3, max_range: float, voxel_size: float) -> set[Voxel]:
@@ -92,9 +87,10 @@ def range_image(points: np.ndarray, model: LidarModel) -> tuple[np.ndarray, np.n
     ranges, index = np.full(model.shape, inf), np.full(model.shape, -1)
     for n, point in enumerate(points):
         r = float(np.linalg.norm(point))
-        beam = beam_of(point, model)[0] if r > 0 and isfinite(r) else None
-        if beam is not None and r <= ranges[beam]:
-            ranges[beam], index[beam] = r, n
+        if r > 0 and isfinite(r):
+            beam, answers, _ = beam_of(point, model)
+            if beam is not None and answers and r <= ranges[beam]:
+                ranges[beam], index[beam] = r, n
     return np.where(index < 0, 0.0, ranges), index
 
 

@@ -1,11 +1,10 @@
 """Lidar kernels: points and voxels onto the beams of a range image.
 
-A *lidar* is a (19,) float64 array: R_sensor_map row by row, t_sensor_map, then how it sees: the column at azimuth 0,
-columns per radian, columns, columns that would fill a turn, and the steps in which it knows the sine of an elevation:
-the sine at the upper end of the first, steps per sine and how many there are; nothing looks along the first and the
-last. Tables over these steps:
+A *lidar* is a (18,) float64 array: R_sensor_map row by row, t_sensor_map, then how it sees: the column at azimuth 0,
+columns per radian, columns, columns that would fill a turn, and the steps in which it knows the sine of an elevation,
+from 1 to −1: steps per unit and how many there are. Tables over these steps:
 
-row_of  (steps,) int32: the row that answers for the step, times columns, or NO_PIXEL
+row_of  (steps,) int32: the nearest row, times columns; BESIDE is added where that row does not answer for the step
 off_row (steps,) float32: the angle between the step and the beams of that row [rad]
 spans   (steps, 3) int32: the row that answers for the step or else for the next below; for the step or else for the
         next above; and how many of the steps before it are answered for
@@ -32,8 +31,9 @@ _ATAN = (0.9998660, -0.3302995, 0.1801410, -0.0851330, 0.0208351, 0.5 * np.pi, n
 ATAN_64 = tuple(np.float64(c) for c in _ATAN)
 ATAN_32 = tuple(np.float32(c) for c in _ATAN)
 """Constants of `angle_of` in either precision."""
-NO_PIXEL = -(1 << 30)
-"""In place of a column or a row where none looks; below 0 whatever is added."""
+NO_COLUMN, BESIDE = -(1 << 30), -(1 << 29)
+"""What is added to pixels outside the span and to those of rows that do not answer: pixel ≥ 0 is answered for;
+pixel − BESIDE ≥ 0 is the nearest all the same."""
 NEAREST_AHEAD = 22.0
 """In voxels: so far from the axis must a cube of 4³ voxels be for `aim_ahead`."""
 LOCAL_8 = np.indices((8, 8, 8), np.float32).reshape(3, -1)
@@ -69,17 +69,17 @@ def aim(
 ) -> None:  # fmt: skip
     """Where the n voxel centres of a cube lie whose first voxel is (i, j, k) and whose others are at `local` (3, n).
 
-    columns : (n,) int32, filled: column of the nearest beam, NO_PIXEL outside the span
+    columns : (n,) int32, filled: column of the nearest beam, NO_COLUMN outside the span
     steps   : (n,) int32, filled: step of the elevation's sine
     r       : (n,) float32, filled: range [m]
     aside   : (n,) float32, filled: squared distance to the middle of the column [m²]
     """
-    half, nothing = np.float32(0.5), np.float32(0.0)
+    half, nothing, one = np.float32(0.5), np.float32(0.0), np.float32(1.0)
     v = np.float32(voxel_size)
     offset, per_radian, turn = np.float32(lidar[12]), np.float32(lidar[13]), np.float32(lidar[15])
     last_column, turn_end = np.float32(lidar[14] - 1.0), np.float32(lidar[15] - 0.5)
     span_end = np.float32(lidar[14] - 0.5 if lidar[14] < lidar[15] else np.inf)
-    top, per_sine, last_step = np.float32(lidar[16]), np.float32(lidar[17]), np.float32(lidar[18] - 1.0)
+    per_sine, last_step = np.float32(lidar[16]), np.float32(lidar[17] - 1.0)
     column_angle = np.float32(1.0 / lidar[13])
     r0, r1, r2 = np.float32(lidar[0]) * v, np.float32(lidar[1]) * v, np.float32(lidar[2]) * v
     r3, r4, r5 = np.float32(lidar[3]) * v, np.float32(lidar[4]) * v, np.float32(lidar[5]) * v
@@ -100,8 +100,8 @@ def aim(
         off = (column - np.float32(nearest)) * column_angle
         distance = np.sqrt(flat_squared + z * z)
         sine = z / max(distance, np.float32(1e-9))
-        columns[w] = nearest if column < span_end else np.int32(NO_PIXEL)
-        steps[w] = np.int32(min(max((top - sine) * per_sine, nothing), last_step))
+        columns[w] = nearest if column < span_end else np.int32(NO_COLUMN)
+        steps[w] = np.int32(min(max((one - sine) * per_sine, nothing), last_step))
         r[w] = distance
         aside[w] = off * off * flat_squared
 
@@ -120,7 +120,7 @@ def aim_ahead(
     half, nothing = np.float32(0.5), np.float32(0.0)
     size = np.float32(voxel_size)
     per_radian, column_angle = np.float32(lidar[13]), np.float32(1.0 / lidar[13])
-    top, per_sine, last_step = np.float32(lidar[16]), np.float32(lidar[17]), np.float32(lidar[18] - 1.0)
+    per_sine, last_step = np.float32(lidar[16]), np.float32(lidar[17] - 1.0)
     third, fifth, one = np.float32(1.0 / 3.0), np.float32(0.2), np.float32(1.0)
     r0, r1, r2 = np.float32(lidar[0]) * size, np.float32(lidar[1]) * size, np.float32(lidar[2]) * size
     r3, r4, r5 = np.float32(lidar[3]) * size, np.float32(lidar[4]) * size, np.float32(lidar[5]) * size
@@ -141,7 +141,7 @@ def aim_ahead(
         flat_squared = x * x + y * y
         distance = np.sqrt(flat_squared + z * z)
         columns[w] = nearest
-        steps[w] = np.int32(min(max((top - z / distance) * per_sine, nothing), last_step))
+        steps[w] = np.int32(min(max((one - z / distance) * per_sine, nothing), last_step))
         r[w] = distance
         aside[w] = off * off * flat_squared
 
@@ -173,7 +173,7 @@ def project_block(
 def find_beams(points: Array, seeing: Array, rings: Array, row_at: Array, pixels: Array, r: Array) -> None:
     """The beam nearest to each of `points` (n, 3) float64 [m, sensor frame].
 
-    seeing : (7,) float64 the last seven numbers of a lidar
+    seeing : (6,) float64 the last six numbers of a lidar
     rings  : (rows + 1, 2) float64 the sines of the lowest and highest elevation that each row answers for, from the
              top; after the last row one that ends the search
     row_at : (steps,) int32 the first row that reaches below the upper end of each step
@@ -193,8 +193,9 @@ def find_beams(points: Array, seeing: Array, rings: Array, row_at: Array, pixels
         if not 0.0 < distance < np.inf:
             continue
         sine = z / distance
-        row = np.int64(row_at[min(max(np.int64((seeing[4] - sine) * seeing[5]), 0), row_at.shape[0] - 1)])
-        row += sine < rings[row, 0]
+        row = np.int64(row_at[min(np.int64((1.0 - sine) * seeing[4]), row_at.shape[0] - 1)])
+        while sine < rings[row, 0]:
+            row += 1
         if row >= rows or sine > rings[row, 1]:
             continue
         column = offset - angle_of(x, y, ATAN_64) * per_radian

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from mapping.kernels.lidar import LOCAL_4, NEAREST_AHEAD, aim, aim_ahead
+from mapping.kernels.lidar import BESIDE, LOCAL_4, NEAREST_AHEAD, aim, aim_ahead
 from mapping.kernels.occupancy import MISS
 from mapping.kernels.range_visibility import (
     AHEAD_X,
@@ -62,7 +62,7 @@ def mark_free(
             i, j, k = 8 * np.int64(blocks[n, 0]), 8 * np.int64(blocks[n, 1]), 8 * np.int64(blocks[n, 2])
             a, b, c = (i + 4) * voxel_size, (j + 4) * voxel_size, (k + 4) * voxel_size
             row = marks[n]
-            classify_children(windows, lidar, spans, a, b, c, half, voxel_size, 0.0, bounds, kinds)
+            classify_children(windows, lidar, spans, a, b, c, half, voxel_size, 0.0, 0.5 * voxel_size, bounds, kinds)
             for octant in range(8):
                 x, y, z = (octant >> 2) * 4, ((octant >> 1) & 1) * 4, (octant & 1) * 4
                 first = np.uint64(x << 6 | y << 3 | z)
@@ -83,9 +83,10 @@ def mark_free(
                     step = np.uint32(steps[w])
                     up = off_row[step] * r[w]
                     pixel = columns[w] + row_of[step]
-                    at = np.uint32(max(pixel, np.int32(0)))
-                    passed = (r[w] < seen[at, 1]) & (aside[w] + up * up < touch)
-                    free = (pixel >= 0) & (passed | (r[w] + margin < -seen[at, 0]))
+                    near = pixel if pixel >= 0 else pixel - np.int32(BESIDE)
+                    at = np.uint32(max(near, np.int32(0)))
+                    passed = (near >= 0) & (r[w] < seen[at, 1]) & (aside[w] + up * up < touch)
+                    free = passed | ((pixel >= 0) & (r[w] + margin < -seen[at, 0]))
                     row[first + _INSIDE[w]] = np.uint8(MISS) if free else np.uint8(0)
 
 

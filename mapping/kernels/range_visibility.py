@@ -111,16 +111,17 @@ def range_bounds(windows: Array, row0: Int, row1: Int, column0: Int, n_columns: 
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
-def bound_children(lidar: Array, a: Float, b: Float, c: Float, half: Float, bounds: Array) -> None:
+def bound_children(lidar: Array, a: Float, b: Float, c: Float, half: Float, touch: Float, bounds: Array) -> None:
     """Bounds of how the lidar sees the eight children of the cube with centre a, b, c [m, map].
 
     half   : half an edge of a child [m]
+    touch  : up to this far beside its elevations a row of beams still counts [m]
     bounds : (N_BOUNDS, 8) float32, filled. Bounds: NEAR, FAR range [m]; STEP_HIGH, STEP_LOW steps of the sine of the
              highest and the lowest elevation; LEFT, RIGHT columns, of which a voxel takes the floor. Of the centre:
              FLAT horizontal distance [m], AHEAD_X, AHEAD_Y the direction of that, HEIGHT [m] above the sensor, COLUMN.
              Child 4·x + 2·y + z has the greater coordinate along each axis that is 1.
     """
-    nothing, tiny = np.float32(0.0), np.float32(1e-12)
+    nothing, one, tiny = np.float32(0.0), np.float32(1.0), np.float32(1e-12)
     x0 = lidar[0] * a + lidar[1] * b + lidar[2] * c + lidar[9]
     y0 = lidar[3] * a + lidar[4] * b + lidar[5] * c + lidar[10]
     z0 = lidar[6] * a + lidar[7] * b + lidar[8] * c + lidar[11]
@@ -131,10 +132,11 @@ def bound_children(lidar: Array, a: Float, b: Float, c: Float, half: Float, boun
     r0, r1, r2 = np.float32(lidar[0]), np.float32(lidar[1]), np.float32(lidar[2])
     r3, r4, r5 = np.float32(lidar[3]), np.float32(lidar[4]), np.float32(lidar[5])
     r6, r7, r8 = np.float32(lidar[6]), np.float32(lidar[7]), np.float32(lidar[8])
-    tall = q * (abs(r6) + abs(r7) + abs(r8))
+    beside = np.float32(touch)
+    tall = q * (abs(r6) + abs(r7) + abs(r8)) + beside
     offset, per_radian, turn = np.float32(lidar[12]), np.float32(lidar[13]), np.float32(lidar[15])
-    top, per_sine, last_step = np.float32(lidar[16]), np.float32(lidar[17]), np.float32(lidar[18] - 1.0)
-    margin = np.float32(0.01 + 2e-6 * lidar[17])  # for rounding; so is the hundredth below
+    per_sine, last_step = np.float32(lidar[16]), np.float32(lidar[17] - 1.0)
+    margin = np.float32(0.01 + 2e-6 * lidar[16])  # for rounding; so is the hundredth below
     slack = np.float32(0.51 + 2.0 * ATAN_ERROR * lidar[13])
     for n in range(bounds.shape[1]):  # no branches, so that it runs on vectors
         s0 = np.float32((n >> 2) & 1) * two_q - q
@@ -155,14 +157,15 @@ def bound_children(lidar: Array, a: Float, b: Float, c: Float, half: Float, boun
         deep = q * (abs(u * r0 + v * r3) + abs(u * r1 + v * r4) + abs(u * r2 + v * r5))
         wide = q * (abs(u * r3 - v * r0) + abs(u * r4 - v * r1) + abs(u * r5 - v * r2))
         flat_low = max(flat - deep, nothing)
-        flat_high = np.sqrt((flat + deep) * (flat + deep) + wide * wide)
+        nearer = max(flat_low - beside, nothing)
+        farther = np.sqrt((flat + deep) * (flat + deep) + wide * wide) + beside
         z_low, z_high = z - tall, z + tall
-        beside_low = flat_high if z_low > nothing else flat_low
-        beside_high = flat_low if z_high > nothing else flat_high
-        sine_low = z_low / max(np.sqrt(z_low * z_low + beside_low * beside_low), tiny)
-        sine_high = z_high / max(np.sqrt(z_high * z_high + beside_high * beside_high), tiny)
-        bounds[STEP_HIGH, n] = min(max((top - sine_high) * per_sine - margin, nothing), last_step)
-        bounds[STEP_LOW, n] = min(max((top - sine_low) * per_sine + margin, nothing), last_step)
+        flat_of_low = farther if z_low > nothing else nearer
+        flat_of_high = nearer if z_high > nothing else farther
+        sine_low = z_low / max(np.sqrt(z_low * z_low + flat_of_low * flat_of_low), tiny)
+        sine_high = z_high / max(np.sqrt(z_high * z_high + flat_of_high * flat_of_high), tiny)
+        bounds[STEP_HIGH, n] = min(max((one - sine_high) * per_sine - margin, nothing), last_step)
+        bounds[STEP_LOW, n] = min(max((one - sine_low) * per_sine + margin, nothing), last_step)
         column = offset - angle_of(x, y, ATAN_32) * per_radian
         column = column + turn if column < nothing else column
         column = column - turn if column >= turn else column
@@ -177,16 +180,17 @@ def bound_children(lidar: Array, a: Float, b: Float, c: Float, half: Float, boun
 @njit(cache=True)
 def classify_children(
     windows: Array, lidar: Array, spans: Array, a: Float, b: Float, c: Float, half: Float,
-    front: Float, back: Float, bounds: Array, kinds: Array,
+    front: Float, back: Float, touch: Float, bounds: Array, kinds: Array,
 ) -> None:  # fmt: skip
     """What the range image says of the eight children of the cube with centre a, b, c [m, map].
 
     half        : half an edge of a child [m]
     front, back : how far [m] before and behind a surface counts as near it
+    touch       : see `bound_children`
     bounds      : (N_BOUNDS, 8) float32, filled as `bound_children` does
     kinds       : (8,) uint8, filled: 0 (not seen), MIXED or FREE; never wrongly 0 or FREE
     """
-    bound_children(lidar, a, b, c, half, bounds)
+    bound_children(lidar, a, b, c, half, touch, bounds)
     columns, turn = windows.shape[2], lidar[15]
     whole_turn = lidar[14] >= turn
     for n in range(8):
@@ -219,11 +223,12 @@ def classify_children(
 @njit(cache=True)
 def list_blocks(
     windows: Array, lidar: Array, spans: Array, roots: Array, root_level: Int, block_size: Float,
-    front: Float, back: Float, with_free: bool, blocks: Array, kinds: Array,
+    front: Float, back: Float, touch: Float, with_free: bool, blocks: Array, kinds: Array,
 ) -> Int:  # fmt: skip
     """List the blocks that the range image sees, depth first below each root: their index and kind, in place.
 
-    roots (r, 3) int64 are cells of 2^root_level blocks along an edge, root_level ≥ 1.
+    roots (r, 3) int64 are cells of 2^root_level blocks along an edge, root_level ≥ 1. front, back, touch: see
+    `classify_children`.
 
     blocks (n, 3) int32, kinds (n,) uint8. Returns how many there are; beyond n they are counted and not written.
     """
@@ -239,7 +244,7 @@ def list_blocks(
             i, j, k, level = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] - 1
             half = 0.5 * block_size * (1 << level)
             a, b, c = (4 * i + 2) * half, (4 * j + 2) * half, (4 * k + 2) * half
-            classify_children(windows, lidar, spans, a, b, c, half, front, back, bounds, seen)
+            classify_children(windows, lidar, spans, a, b, c, half, front, back, touch, bounds, seen)
             for child in range(8):
                 kind = seen[child]
                 if kind == 0 or (kind == FREE and not with_free):
