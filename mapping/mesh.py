@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mapping.errors import InvalidParameter
-from mapping.grid import BLOCK_VOXELS, as_blocks, new_table
+from mapping.grid import BLOCK_VOXELS, as_blocks
 from mapping.kernels import marching_cubes
+from mapping.layer import Changed
 
 if TYPE_CHECKING:
     from mapping.tsdf import TsdfMap
 
 Array: TypeAlias = NDArray[Any]
+
+_CHUNK = 64  # blocks made at once: bounds the memory to work in
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,39 +91,143 @@ class Mesh:
             file.write(faces.tobytes())
 
 
-def extract_mesh(tsdf: TsdfMap) -> Mesh:
-    """The zero surface of a signed distance map by marching cubes: each vertex once, with normal and colour."""
-    blocks = as_blocks(tsdf.block_ijk)
-    fields = tsdf.store.fields
-    field = (tsdf.store.table, fields["distance"], fields["weight"])
-    numbers = np.empty((len(blocks), BLOCK_VOXELS, 3), np.int32)
-    counts = np.empty(len(blocks), np.int64)
+class Labelled(Protocol):
+    """What a mesh takes its labels from, such as a `SemanticMap`."""
 
-    # Both kernels run twice: to count, so that each block knows where its output begins, and to write.
-    number = partial(marching_cubes.number_vertices, *field, tsdf.voxel_size_m, tsdf.max_jump_m, blocks)
-    number(np.zeros(len(blocks), np.int64), numbers, np.empty((0, 3), np.float32), counts)
-    vertices = np.empty((int(counts.sum()), 3), np.float32)
-    number(np.cumsum(counts) - counts, numbers, vertices, counts)
-
-    rows = new_table(blocks, len(blocks), len(blocks))
-    join = partial(marching_cubes.join_triangles, *field, blocks, rows, numbers)
-    join(np.zeros(len(blocks), np.int64), np.empty((0, 3), np.int32), counts)
-    triangles = np.empty((int(counts.sum()), 3), np.int32)
-    join(np.cumsum(counts) - counts, triangles, counts)
-
-    used = np.zeros(len(vertices), np.bool_)  # an edge may cross the surface and every cube about it be incomplete
-    used[triangles] = True
-    triangles = (np.cumsum(used, dtype=np.int32) - 1)[triangles]
-    vertices = vertices[used]
-    normals = np.empty_like(vertices)
-    marching_cubes.sum_normals(vertices, triangles, normals)
-    return Mesh(vertices, triangles, normals, _colors(tsdf, vertices))
+    def query(self, p_map: ArrayLike) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:
+        """Class id (N,), 0 where unknown, and confidence (N,) at each point (N, 3) [m]."""
 
 
-def _colors(tsdf: TsdfMap, vertices: NDArray[np.float32]) -> NDArray[np.uint8] | None:
-    """The colour of the voxel that holds each vertex; None where the map has none."""
-    if not tsdf.has_color:
-        return None
-    slots, local = tsdf.store.locate(vertices)
-    fine = tsdf.store.fields["color"][slots, local]
-    return np.asarray(fine >> 8, dtype=np.uint8)
+class IncrementalMesh:
+    """The zero surface of a signed distance map by marching cubes, kept block by block and renewed where it changed.
+
+    `update` makes the pieces of those blocks anew that changed, or that have a neighbour that did; `mesh` puts pieces
+    together, each vertex once, also across the borders of blocks. The result is the same whatever the steps in which
+    the map changed.
+    """
+
+    def __init__(self, tsdf: TsdfMap) -> None:
+        self.tsdf = tsdf
+        self._revision = -1
+        self._pieces = np.zeros((0, 4), np.int64)  # of each slot: first vertex, vertices, first triangle, triangles
+        self._n_vertices = self._n_triangles = 0  # rows in use, those of pieces that were replaced included
+        self._vertices = np.empty((0, 6), np.float32)
+        self._edges = np.empty(0, np.int16)
+        self._corners = np.empty((0, 3), np.int32)
+        self._scratch: tuple[Array, Array, Array] | None = None
+
+    @property
+    def memory_bytes(self) -> int:
+        """Bytes held by the pieces, room to grow and to work included."""
+        arrays = (self._pieces, self._vertices, self._edges, self._corners, *(self._scratch or ()))
+        return sum(array.nbytes for array in arrays)
+
+    def update(self) -> Changed:
+        """Follow the map; returns the blocks whose piece was made anew, of those that have or had a surface."""
+        tsdf = self.tsdf
+        slots = tsdf.changed_near(self._revision)
+        self._revision = tsdf.revision
+        pieces = np.zeros((tsdf.store.n_blocks, 4), np.int64)
+        pieces[: len(self._pieces)] = self._pieces
+        self._pieces = pieces
+        with_surface = pieces[slots, 3] > 0
+        for first in range(0, len(slots), _CHUNK):
+            self._renew(slots[first : first + _CHUNK])
+        if self._n_triangles > 2 * int(pieces[:, 3].sum()) + 65_536:
+            self._tidy()
+        with_surface |= pieces[slots, 3] > 0
+        return Changed(tsdf.block_ijk[slots[with_surface]], tsdf.block_size_m)
+
+    def _renew(self, slots: Array) -> None:
+        """Make the pieces of `slots` anew, at most _CHUNK at a time."""
+        if self._scratch is None:
+            shapes = (((_CHUNK, 3 * BLOCK_VOXELS, 6), np.float32), ((_CHUNK, 3 * BLOCK_VOXELS), np.int16))
+            most = BLOCK_VOXELS * marching_cubes.MOST_TRIANGLES
+            vertices, edges = (np.empty(shape, dtype) for shape, dtype in shapes)
+            self._scratch = vertices, edges, np.empty((_CHUNK, most, 3), np.int32)
+        store = self.tsdf.store
+        counts = np.empty((len(slots), 2), np.int64)
+        marching_cubes.mesh_blocks(
+            store.table, store.fields["distance"], store.fields["weight"], store.voxel_size_m, self.tsdf.max_jump_m,
+            as_blocks(store.block_ijk[slots]), *self._scratch, counts,
+        )  # fmt: skip
+        ends = counts.cumsum(axis=0) + np.array([self._n_vertices, self._n_triangles])
+        self._n_vertices, self._n_triangles = ends[-1].tolist()
+        self._vertices = _grown(self._vertices, self._n_vertices)
+        self._edges = _grown(self._edges, self._n_vertices)
+        self._corners = _grown(self._corners, self._n_triangles)
+        pieces = np.stack([ends - counts, counts], axis=2).reshape(-1, 4)
+        marching_cubes.keep_pieces(self._vertices, self._edges, self._corners, pieces, *self._scratch)
+        self._pieces[slots] = pieces
+
+    def _tidy(self) -> None:
+        """Let go of pieces that were replaced."""
+        for field, column in ((("_vertices", "_edges"), 0), (("_corners",), 2)):
+            first, count = self._pieces[:, column], self._pieces[:, column + 1]
+            ends = count.cumsum()
+            rows = np.arange(int(ends[-1])) + np.repeat(first - (ends - count), count)
+            for name in field:
+                setattr(self, name, getattr(self, name)[rows])
+            self._pieces[:, column] = ends - count
+        self._n_vertices, self._n_triangles = len(self._edges), len(self._corners)
+
+    def mesh(self, block_ijk: ArrayLike | None = None, *, labels_from: Labelled | None = None) -> Mesh:
+        """The pieces of the blocks (K, 3) asked for (default all) as one mesh, as of the last `update`.
+
+        A triangle belongs to the block of its cube's first voxel, so that the meshes of disjoint sets of blocks make up
+        the whole. labels_from: labels of the vertices, or of what lies half a voxel behind or before them.
+        """
+        tsdf, pieces = self.tsdf, self._pieces
+        if block_ijk is None:
+            slots = np.flatnonzero(pieces[:, 3])
+        else:
+            found = np.unique(tsdf.store.find(as_blocks(block_ijk)))
+            slots = found[(found >= 0) & (found < len(pieces))]
+            slots = slots[pieces[slots, 3] > 0]
+        blocks = as_blocks(tsdf.block_ijk)
+        touched = np.zeros(len(pieces) + 1, np.bool_)  # and one row for what is not there, at −1
+        for side in range(8):
+            touched[tsdf.store.find(blocks[slots] + np.array(marching_cubes.corner_offset(side), np.int32))] = True
+        sources = np.flatnonzero(touched[:-1])
+        sizes = np.where(touched[:-1], pieces[:, 1], 0)
+        rows = np.empty((int(sizes.sum()), 6), np.float32)
+        marching_cubes.gather_pieces(self._vertices, pieces, sources, rows)
+        counts = pieces[slots, 3]
+        triangles = np.empty((int(counts.sum()), 3), np.int32)
+        marching_cubes.weld(
+            tsdf.store.table, blocks, slots, pieces, self._edges, self._corners, sizes.cumsum() - sizes,
+            counts.cumsum() - counts, triangles,
+        )  # fmt: skip
+        used = np.zeros(len(rows), np.bool_)  # an edge may cross the surface and every cube about it be incomplete
+        used[triangles] = True
+        triangles = (used.cumsum(dtype=np.int32) - np.int32(1))[triangles]
+        rows = rows[used]
+        vertices, normals = rows[:, :3].copy(), rows[:, 3:].copy()
+        colors = tsdf.colors_at(vertices) if tsdf.has_color else None
+        labels = None if labels_from is None else _labels(labels_from, vertices, 0.5 * tsdf.voxel_size_m * normals)
+        return Mesh(vertices, triangles, normals, colors, labels)
+
+
+def _grown(array: Array, n: int) -> Array:
+    """The array, with room for at least n rows."""
+    if n <= len(array):
+        return array
+    room = np.empty((max(n, 2 * len(array)), *array.shape[1:]), array.dtype)
+    room[: len(array)] = array
+    return room
+
+
+def _labels(source: Labelled, vertices: Array, step: Array) -> NDArray[np.uint16]:
+    """The label of each vertex, or where it has none that of a step behind it, or before it."""
+    labels = np.array(source.query(vertices)[0], np.uint16)
+    for places in (vertices - step, vertices + step):
+        without = labels == 0
+        labels[without] = source.query(places[without])[0]
+    return labels
+
+
+def extract_mesh(tsdf: TsdfMap, *, labels_from: Labelled | None = None) -> Mesh:
+    """The whole zero surface of a signed distance map, each vertex once."""
+    pieces = IncrementalMesh(tsdf)
+    pieces.update()
+    return pieces.mesh(labels_from=labels_from)

@@ -16,7 +16,7 @@ from mapping.layer import Changed, MapLayer, require
 from mapping.view import DepthView, as_pose
 
 if TYPE_CHECKING:
-    from mapping.mesh import Mesh
+    from mapping.mesh import Labelled, Mesh
     from mapping.raycast import VirtualView
 
 Array: TypeAlias = NDArray[Any]
@@ -72,7 +72,7 @@ class TsdfMap(MapLayer):
         self.carve = bool(carve)
         self.store = BlockStore({"distance": np.float32, "weight": np.float32}, size)
         self._samples = np.empty((_CHUNK, BLOCK_VOXELS, 6), np.float32)  # scratch of `surface`
-        self._boxes, self._boxed_at = np.empty((0, 6), np.int8), 0  # of `surface_boxes`
+        self._boxes, self._boxed_at = np.empty((0, 6), np.int8), -1  # of `surface_boxes`
         if with_color:
             self._keep_color()
 
@@ -255,8 +255,9 @@ class TsdfMap(MapLayer):
 
         return render(self, intrinsics, T_map_camera, max_range_m=max_range_m)
 
-    def mesh(self) -> Mesh:
-        """The surface as triangles; see `mapping.mesh`."""
+    def mesh(self, *, labels_from: Labelled | None = None) -> Mesh:
+        """The surface as triangles, with labels from a `SemanticMap` if given; see `mapping.mesh`, which also has a
+        mesh that follows the map."""
         from mapping.mesh import extract_mesh
 
-        return extract_mesh(self)
+        return extract_mesh(self, labels_from=labels_from)

@@ -1,17 +1,21 @@
 """Meshes: closed where the field is known, on the surface, with normals into free space."""
 
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mapping.datasets.opening import open_dataset
 from mapping.errors import InvalidParameter
 from mapping.geometry import SE3
 from mapping.grid import BLOCK_VOXELS, ijk_to_centre, join_ijk
 from mapping.kernels import marching_cubes
-from mapping.mesh import Mesh
+from mapping.mesh import IncrementalMesh, Mesh
+from mapping.semantics import SemanticMap
 from mapping.tsdf import TsdfMap
+from tests import naive_tsdf
 from tests.support.recordings import recording
 from tests.support.rooms import SMALL_CAMERA, Room, looking
 
@@ -52,6 +56,109 @@ def test_a_ball_is_closed_round_and_faces_outwards():
     assert n_vertices - n_edges + len(mesh.triangles) == 2  # Euler: one closed surface without handles
     assert len(np.unique(mesh.vertices, axis=0)) == n_vertices  # welded
     assert len(np.unique(mesh.triangles)) == n_vertices  # each used
+
+
+def triangles_of(mesh: Mesh) -> np.ndarray:
+    """The triangles (M, 18) by their corners' positions and normals, in an order of their own."""
+    corners = np.concatenate([mesh.vertices, mesh.normals], axis=1)[mesh.triangles]
+    first = np.lexsort(corners[..., :3].transpose(2, 0, 1), axis=1)[:, 0]
+    turned = (first[:, None] + np.arange(3)) % 3
+    flat = np.take_along_axis(corners, turned[..., None], axis=1).reshape(-1, 18)
+    return flat[np.lexsort(flat.T)]
+
+
+def test_a_random_field_has_the_triangles_of_the_naive_one():
+    """Every case, edges between two surfaces, unknown voxels and borders of blocks."""
+    rng = np.random.default_rng(3)
+    layer = field_of(lambda centres: rng.uniform(-0.2, 0.2, len(centres)), half_blocks=1)
+    layer.store.used("weight")[rng.random((8, BLOCK_VOXELS)) < 0.02] = 0.0
+    layer.store.fields["weight"][layer.store.find(np.array([[0, -1, 0]]))] = 0.0
+    which, local = np.nonzero(layer.store.used("weight"))
+    ijk = join_ijk(layer.block_ijk[which], local)
+    values = dict(zip(map(tuple, ijk.tolist()), layer.store.used("distance")[which, local].tolist(), strict=True))
+    expected = np.array(naive_tsdf.triangles_of(values, 0.05, layer.max_jump_m))
+    mesh = layer.mesh()
+    found = mesh.vertices[mesh.triangles]
+    assert len(found) == len(expected) > 3000
+
+    def sorted_rows(triangles: np.ndarray) -> np.ndarray:
+        middles = np.concatenate([triangles.mean(axis=1), np.cross(*np.diff(triangles, axis=1).swapaxes(0, 1))], axis=1)
+        return middles[np.lexsort(np.round(middles, 5).T)]
+
+    assert np.allclose(sorted_rows(found.astype(np.float64)), sorted_rows(expected), atol=1e-5)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.integers(0, 3)), min_size=2, max_size=6),
+    st.booleans(),
+)
+def test_a_mesh_that_follows_the_map_is_the_whole_mesh(views, carve):
+    """Whatever is seen between updates, even when many images are, and when what was there is carved away."""
+    layer = TsdfMap(0.1, carve=carve, weighting="constant", max_weight=2.0)
+    followed, followed_to = IncrementalMesh(layer), 0
+    for n, (yaw, pitch, what) in enumerate(views):
+        depth = Room(radius=0.4 + 0.2 * (n % 2)).depth(looking(yaw, pitch), SMALL_CAMERA)
+        depth[:, : 10 * what] = 0.0
+        layer.integrate_image(depth, SMALL_CAMERA, looking(yaw, pitch))
+        if what != 2:
+            continue
+        changed = followed.update()
+        whole = IncrementalMesh(layer)
+        whole.update()
+        assert np.array_equal(triangles_of(followed.mesh()), triangles_of(whole.mesh()))
+        near = {
+            tuple(np.add(block, step))
+            for block in layer.changed_since(followed_to).blocks.tolist()
+            for step in product((-1, 0, 1), repeat=3)
+        }
+        assert {tuple(block) for block in changed.blocks.tolist()} <= near
+        followed_to = layer.revision
+    followed.update()
+    assert np.array_equal(triangles_of(followed.mesh()), triangles_of(layer.mesh()))
+    assert len(np.unique(followed.mesh().vertices, axis=0)) == len(followed.mesh().vertices)  # welded
+    assert len(followed.update()) == 0
+
+
+def test_meshes_of_parts_make_up_the_whole():
+    layer = field_of(ball)
+    pieces = IncrementalMesh(layer)
+    pieces.update()
+    blocks = np.random.default_rng(0).permutation(layer.block_ijk)
+    parts = [pieces.mesh(blocks[n::4]) for n in range(4)]
+    corners = np.concatenate([np.concatenate([p.vertices, p.normals], axis=1)[p.triangles] for p in parts])
+    apart = Mesh(
+        corners[..., :3].reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3),
+        corners[..., 3:].reshape(-1, 3),
+    )  # fmt: skip
+    assert np.array_equal(triangles_of(apart), triangles_of(pieces.mesh()))
+    assert len(pieces.mesh(np.array([[90, 0, 0]])).triangles) == 0
+    assert all(len(np.unique(p.triangles)) == len(p.vertices) for p in parts)
+
+
+def test_pieces_that_were_replaced_are_let_go_of():
+    layer = field_of(ball)
+    pieces = IncrementalMesh(layer)
+    pieces.update()
+    n = len(pieces.mesh().triangles)
+    expected, most = triangles_of(pieces.mesh()), 0
+    for _ in range(20):
+        layer._note(np.arange(layer.store.n_blocks))
+        assert len(pieces.update()) > 0
+        most = max(most, pieces.memory_bytes)
+    assert np.array_equal(triangles_of(pieces.mesh()), expected)
+    assert len(pieces._corners) < 3 * n + 2 * 65_536
+
+
+def test_vertices_are_labelled_by_the_semantic_map():
+    layer, semantics = field_of(ball), SemanticMap(voxel_size_m=0.05)
+    surface = layer.surface()[0]
+    semantics.integrate(surface, np.where(surface[:, 2] > 0.0, 7, 9))
+    mesh = layer.mesh(labels_from=semantics)
+    assert mesh.labels.dtype == np.uint16
+    assert (mesh.labels[mesh.vertices[:, 2] > 0.06] == 7).mean() > 0.97
+    assert (mesh.labels[mesh.vertices[:, 2] < -0.06] == 9).mean() > 0.97
+    assert layer.mesh().labels is None
 
 
 def test_any_field_gives_a_surface_without_cracks():
