@@ -25,7 +25,7 @@ from mapping.occupancy import OccupancyMap
 from mapping.range_view import as_ranges_m
 from mapping.sensors import LidarModel
 from mapping.tsdf import TsdfMap
-from mapping.view import as_depth_m, as_pose
+from mapping.view import as_camera, as_depth_m, as_pose
 
 if TYPE_CHECKING:
     from mapping.surfels import Surfels
@@ -62,7 +62,7 @@ def points_to_depth(p_camera: ArrayLike, intrinsics: Camera) -> tuple[NDArray[np
     A point falls on the pixel nearest to it; of several the nearest counts; where there is none the depth is 0 and the
     index −1.
     """
-    camera = _as_camera(intrinsics)
+    camera = as_camera(intrinsics)
     shape = (camera.height, camera.width)
     depth, index = np.empty(shape, np.float32), np.empty(shape, np.int64)
     images.drop_points(as_points(p_camera, "p_camera"), _camera_row(camera), depth, index)
@@ -109,7 +109,7 @@ def register_color(
     Raises `InvalidObservation` where an image does not fit its camera.
     """
     depth_m, camera = _checked_depth(depth, intrinsics)
-    other = _as_camera(color_intrinsics)
+    other = as_camera(color_intrinsics)
     pixels = np.asarray(color)
     if pixels.dtype != np.uint8 or pixels.shape != (other.height, other.width, 3):
         raise InvalidObservation(
@@ -128,16 +128,12 @@ def register_color(
     return registered, valid
 
 
-def _as_camera(intrinsics: Camera) -> CameraIntrinsics:
-    return intrinsics if isinstance(intrinsics, CameraIntrinsics) else CameraIntrinsics.model_validate(intrinsics)
-
-
 def _camera_row(camera: CameraIntrinsics) -> NDArray[np.float64]:
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height])
 
 
 def _checked_depth(depth: Array, intrinsics: Camera) -> tuple[NDArray[np.float32], CameraIntrinsics]:
-    camera = _as_camera(intrinsics)
+    camera = as_camera(intrinsics)
     depth_m = as_depth_m(depth)
     if depth_m.shape != (camera.height, camera.width):
         raise InvalidObservation(

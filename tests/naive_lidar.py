@@ -102,7 +102,7 @@ def depth_image(points: np.ndarray, camera: CameraIntrinsics) -> tuple[np.ndarra
     shape = (camera.height, camera.width)
     depth, index = np.zeros(shape), np.full(shape, -1)
     for n, (x, y, z) in enumerate(points):
-        if not 0 < z < inf:
+        if not (0 < z < inf and isfinite(x) and isfinite(y)):
             continue
         column, row = floor(camera.fx * x / z + camera.cx + 0.5), floor(camera.fy * y / z + camera.cy + 0.5)
         if (

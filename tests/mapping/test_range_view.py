@@ -1,13 +1,16 @@
 """Range images: coarse to fine says what voxel by voxel says, and that is what beams say where both know."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mapping.errors import InvalidObservation
 from mapping.geometry import SE3
 from mapping.kernels import lidar as kernels
 from mapping.kernels.occupancy import MISS
 from mapping.kernels.visibility import FREE
+from mapping.occupancy import UNKNOWN, OccupancyMap
 from mapping.range_view import RangeView
 from mapping.sensors import LidarModel
 from tests import naive_lidar as naive
@@ -108,3 +111,89 @@ def project_all(view: RangeView, blocks: np.ndarray, voxel_size: float) -> np.nd
         passed = (near >= 0) & (r < reach[at]) & (aside < np.float32(0.25 * voxel_size**2))
         free[n] = passed | ((pixels >= 0) & (r + np.float32(0.87 * voxel_size) < clear[at]))
     return free
+
+
+@settings(max_examples=20, deadline=None)
+@given(models, poses, st.integers(0, 1000))
+def test_hits_are_those_of_the_naive_twin(model, pose, seed):
+    ranges = ranges_of(model, pose, seed, 0.01)
+    found = set(map(tuple, RangeView(ranges, model, pose, 2.5).hits(0.1).tolist()))
+    expected = naive.hits(ranges, model, pose, 2.5, 0.1)
+    assert len(found ^ expected) <= 0.01 * len(expected)  # points on a border of voxels, to within rounding
+
+
+def test_points_are_hit_where_they_are_not_where_the_beams_look():
+    points = np.array([[1.0, 0.011, 0.013], [3.0, 0.02, 0.03], [0.0, 9.0, 0.0]])
+    view = RangeView.from_points(points, LidarModel.even(4, -0.3, 0.3, 16), SE3.identity(), 5.0)
+    assert view.hits(0.01).tolist() == [[100, 1, 1], [300, 2, 3]]
+    assert sorted(view.reach[view.reach != 0.0].tolist()) == pytest.approx([-5.0, 1.0], rel=1e-3)
+    with pytest.raises(InvalidObservation, match="p_sensor"):
+        RangeView.from_points([[np.nan, 0.0, 0.0]], EVEN, SE3.identity(), 5.0)
+
+
+def scans_of_the_room() -> list[tuple[np.ndarray, SE3]]:
+    poses = [SE3.exp([0.3 * n - 0.5, 0.2 * n - 0.3, 0.05 * n, 0.02 * n, -0.03 * n, 0.7 * n]) for n in range(4)]
+    return [(ranges_of(EVEN, pose, 2, 0.0), pose) for pose in poses]
+
+
+@pytest.mark.parametrize("voxel_size", [0.05, 0.1])
+def test_range_images_and_beams_agree_where_both_know(voxel_size):
+    projected, cast = OccupancyMap(voxel_size, 5.0), OccupancyMap(voxel_size, 5.0)
+    for ranges, pose in scans_of_the_room():
+        projected.integrate_range_image(ranges, EVEN, pose)
+        ends = np.where(np.isfinite(ranges), ranges, 6.0)
+        cast.integrate(EVEN.backproject(ends)[ranges > 0.0], pose)
+    centres = np.concatenate([cast.occupied_centres(), cast.free_centres()])
+    ours, theirs = projected.classify(centres), cast.classify(centres)
+    both = ours != UNKNOWN
+    assert (ours == theirs)[both].mean() >= 0.999
+    assert both.mean() > 0.9
+
+
+def test_nothing_is_freed_behind_a_surface():
+    """With a sharp eye on edges: between a near and a far beam nothing is believed beyond the near one."""
+    for ranges, pose in scans_of_the_room():
+        layer = OccupancyMap(0.05, 5.0)
+        layer.integrate_range_image(np.where(np.isfinite(ranges), ranges, 0.0), EVEN, pose)
+        assert Room().distance(layer.free_centres()).min() > -0.05
+
+
+def test_an_edge_between_two_beams_is_not_freed_beyond_the_nearer():
+    model = LidarModel.even(3, -0.1, 0.1, 36)
+    ranges = np.full(model.shape, 8.0, np.float32)
+    ranges[:, 18] = 2.0  # straight ahead; its neighbours look 10° to the side and see far
+    view = RangeView(ranges, model, SE3.identity(), 20.0)
+    layer = OccupancyMap(0.1, 20.0)
+    layer.integrate_range_view(view)
+    found = {}
+    for degrees in (6.0, 10.0, 30.0):
+        angle = np.deg2rad(degrees)
+        ray = np.linspace(2.2, 7.0, 200)[:, None] * np.array([np.cos(angle), np.sin(angle), 0.01])
+        found[degrees] = (layer.classify(ray) == 0).mean()
+    assert found[6.0] == 0.0  # nearer to the beam at 10° than to that at 0°, but not on it
+    assert 0.1 < found[10.0] < 0.9
+    assert found[30.0] == 1.0
+
+
+def test_a_planar_scanner_frees_what_its_beams_pass():
+    layer, cast = OccupancyMap(0.1, 5.0), OccupancyMap(0.1, 5.0)
+    pose = SE3.exp([0.012, 0.034, 0.04, 0.0, 0.0, 0.3])
+    ranges = ranges_of(PLANAR, pose, 0, 0.0)
+    layer.integrate_range_image(ranges, PLANAR, pose)
+    cast.integrate(PLANAR.backproject(ranges).reshape(-1, 3), pose)
+    known = layer.classify(cast.free_centres()) == 0
+    assert known.mean() > 0.85
+
+
+def test_an_image_that_saw_nothing_says_nothing():
+    layer = OccupancyMap(0.1)
+    assert len(layer.integrate_range_image(np.zeros(EVEN.shape, np.float32), EVEN, SE3.identity())) == 0
+
+
+@pytest.mark.parametrize(
+    ("ranges", "expected"),
+    [(np.zeros((3, 4), np.float32), "shape"), (np.zeros(EVEN.shape), "float32"), (np.zeros((2, 2, 2)), "shape")],
+)
+def test_what_is_no_range_image_is_refused(ranges, expected):
+    with pytest.raises(InvalidObservation, match=expected):
+        RangeView(ranges, EVEN, SE3.identity(), 5.0)
