@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from mapping.mesh import IncrementalMesh
 from mapping.tsdf import TsdfMap
-from tests.support.building import CAMERA, CAMERA_RANGE_M, LOOP, N_IMAGES, DepthImage, rgbd_images
+from tests.support.building import CAMERA, CAMERA_RANGE_M, LOOP, N_IMAGES, DepthImage, rgbd_image, rgbd_images
 from tests.support.open3d_grid import TRUNCATION_VOXELS, Grid
 from tests.support.racing import Table, bytes_per_ms, race
 
@@ -44,6 +45,34 @@ def test_an_image(benchmark: BenchmarkFixture, table: Table, voxel_size_m: float
     bound = (2 * 8 * 512 * np.mean(touched) + images[0].depth.nbytes) / bytes_per_ms()
     case = f"TSDF 640 × 480, {100 * voxel_size_m:.0f} cm"
     table.add(case, "projective", ours, theirs, must_share=1.0, bound_ms=float(bound))
+
+
+@pytest.mark.parametrize("put_together", [False, True], ids=["pieces", "put together"])
+@pytest.mark.parametrize("again", [True, False], ids=["a room seen before", "new rooms"])
+def test_mesh_after_one_more_image(benchmark: BenchmarkFixture, table: Table, again: bool, put_together: bool) -> None:
+    """Every image is new to the map and has a structured-light camera's noise; only the mesh is timed."""
+    layer, grid = new_map(0.05), Grid(0.05)
+    for image in rgbd_images(LOOP):
+        fuse(layer, image)
+        grid.fuse(image)
+    mesh = IncrementalMesh(layer)
+    mesh.update()
+    images = [rgbd_image(n, noisy=True) for n in (range(LOOP) if again else range(LOOP, N_IMAGES))]
+
+    def follow(n: int) -> None:
+        mesh.update()
+        if put_together:
+            mesh.mesh()
+
+    def integrate(n: int) -> None:
+        fuse(layer, images[n])
+        grid.fuse(images[n])
+
+    theirs = {f"{OPEN3D}, whole": lambda n: grid.mesh()}
+    ours, times = race(benchmark, follow, theirs, rounds=len(images), peer_every=4, prepare=integrate)
+    case = f"mesh 5 cm, one more image of {'a room seen before' if again else 'new rooms'}"
+    mode = "incremental, put together" if put_together else "incremental, pieces"
+    table.add(case, mode, ours, times, **({"must_share": 1.0} if put_together else {"must_ms": 8.0}))
 
 
 def test_whole_mesh(benchmark: BenchmarkFixture, table: Table) -> None:
