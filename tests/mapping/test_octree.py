@@ -277,3 +277,12 @@ def test_the_classes_are_the_same_whether_beams_are_kept_in_a_volume_or_in_a_has
     monkeypatch.setattr("mapping.scanning._MOST_BLOCKS", 0)
     far.integrate(points, TOUR[1])
     assert contents(near.store) == contents(far.store)
+
+
+def test_maps_saved_before_there_were_cells_are_read():
+    layer, voxels = small_map()
+    blocks = layer.block_ijk
+    header = {key: value for key, value in layer.state().items() if key == "kind" or key.startswith("parameter.")}
+    del header["parameter.discretize"]
+    old = OccupancyMap.from_state({**header, "block_ijk": blocks, "evidence": layer.evidence_of(blocks)})
+    assert contents(old.store) == voxels
