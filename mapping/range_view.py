@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapping.errors import InvalidObservation
 from mapping.geometry import SE3
-from mapping.grid import as_points, point_to_ijk, read_only
+from mapping.grid import as_points, read_only
 from mapping.kernels import range_occupancy, range_visibility
 from mapping.sensors import LidarModel
 from mapping.view import as_pose
@@ -58,7 +58,7 @@ class RangeView:
         levels = min(range_visibility.WINDOWS, max(model.shape).bit_length(), model.columns.bit_length())
         self._windows = np.empty((levels, *model.shape, 2), np.float32)
         range_visibility.build_windows(self.reach, model.seeing[2] == model.seeing[3], self._windows)
-        self._p_map: NDArray[np.float64] | None = None
+        self._points: NDArray[np.float64] | None = None
 
     @classmethod
     def from_points(
@@ -67,12 +67,12 @@ class RangeView:
         """A scan of points (N, 3) [m] in the sensor frame. What is free is seen along the model's beams; what is hit
         is where the points are."""
         pose = as_pose(T_map_sensor, "T_map_sensor")
-        points = as_points(p_sensor, "p_sensor")
+        points = as_points(np.array(p_sensor, np.float64), "p_sensor")  # a copy: looked at when hits are asked for
         if not np.isfinite(points).all():
             raise InvalidObservation("p_sensor: expected finite points, got NaN or infinity")
         ranges, _ = model.range_image(points)
         view = cls(ranges, model, pose, max_range_m)
-        view._p_map = pose @ points[np.linalg.norm(points, axis=1) <= max_range_m]
+        view._points = points
         return view
 
     @property
@@ -110,12 +110,11 @@ class RangeView:
 
     def hits(self, voxel_size_m: float) -> NDArray[np.int32]:
         """The voxels (n, 3) that a beam ended in; some may be named more than once."""
-        if self._p_map is not None:
-            return point_to_ijk(self._p_map, voxel_size_m)
+        if self._points is not None:
+            voxels = np.empty((len(self._points), 3), np.int32)
+            return voxels[: range_occupancy.list_ends(self._points, self.max_range_m, self.pose, voxel_size_m, voxels)]
         voxels = np.empty((self.reach.size, 3), np.int32)
-        angles = np.concatenate([self.model.elevations, self.model.azimuths])
-        directions = np.stack([np.sin(angles), np.cos(angles)], axis=1)
-        return voxels[: range_occupancy.list_hits(self.reach, directions, self.pose, voxel_size_m, voxels)]
+        return voxels[: range_occupancy.list_hits(self.reach, self.model.directions, self.pose, voxel_size_m, voxels)]
 
     def _roots(self, block_size_m: float, back_m: float) -> tuple[NDArray[np.int64], int]:
         """The cells (r, 3) of 2^level blocks along an edge that the reach's bounding box meets, and that level."""

@@ -59,6 +59,9 @@ class LidarModel:
         self.span = float(span)
         self.widest_gap = float(widest_gap)
         self.elevations.setflags(write=False)
+        angles = np.concatenate([self.elevations, self.azimuths])
+        self.directions: NDArray[np.float64] = read_only(np.stack([np.sin(angles), np.cos(angles)], axis=1))
+        """(rows + columns, 2) sine and cosine of each row's elevation, then of each column's azimuth."""
         self._see()
 
     @staticmethod

@@ -125,3 +125,22 @@ def list_hits(reach: Array, directions: Array, pose: Array, voxel_size: Float, v
                 count += 1
                 last = u
     return count
+
+
+@njit(cache=True)
+def list_ends(points: Array, max_range: Float, pose: Array, voxel_size: Float, voxels: Array) -> Int:
+    """List the voxel of each of `points` (n, 3) float64 [m, sensor frame] that is not farther than max_range [m].
+
+    pose   : (12,) float64, R_map_sensor row by row and t_map_sensor
+    voxels : (n, 3) int32, filled in place from the start. Returns how many there are.
+    """
+    per_voxel = 1.0 / voxel_size
+    count = 0
+    for n in range(points.shape[0]):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        if np.sqrt(x * x + y * y + z * z) <= max_range:
+            for axis in range(3):
+                a = pose[3 * axis] * x + pose[3 * axis + 1] * y + pose[3 * axis + 2] * z + pose[9 + axis]
+                voxels[count, axis] = np.int32(np.floor(a * per_voxel))
+            count += 1
+    return count
