@@ -37,6 +37,9 @@ class RangeView:
 
     ranges       (rows, columns) float32 [m]; 0 or NaN = not measured, infinity = nothing there
     max_range_m  surfaces farther than this from the sensor [m] are not believed; free space is, up to it
+
+    A single beam that measured nothing among others that did (at most one of its neighbours may lack too) leaves no
+    hole: free space is believed as far as the nearest of its neighbours saw. Larger gaps say nothing.
     """
 
     def __init__(self, ranges: Array, model: LidarModel, T_map_sensor: SE3 | ArrayLike, max_range_m: float) -> None:
@@ -55,9 +58,11 @@ class RangeView:
         """(rows, columns) float32 see `mapping.kernels.lidar`."""
         self.farthest_m = float(range_visibility.measure_reach(ranges_m, self.max_range_m, self.reach))
         """The largest range of which the image says anything [m]."""
+        wraps = bool(model.seeing[2] == model.seeing[3])
+        range_visibility.bridge_gaps(self.reach, wraps)
         levels = min(range_visibility.WINDOWS, max(model.shape).bit_length(), model.columns.bit_length())
         self._windows = np.empty((levels, *model.shape, 2), np.float32)
-        range_visibility.build_windows(self.reach, model.seeing[2] == model.seeing[3], self._windows)
+        range_visibility.build_windows(self.reach, wraps, self._windows)
         self._points: NDArray[np.float64] | None = None
 
     @classmethod

@@ -49,15 +49,23 @@ def neighbours(row: int, column: int, model: LidarModel) -> list[tuple[int, int]
     return [(r, c % columns) for r, c in near if 0 <= c < columns or abs(model.span - 2 * pi) < 1e-9]
 
 
-def reach_of(value: float, max_range: float) -> float:
-    """How far a beam saw free space."""
-    return min(value, max_range) if value > 0 else 0.0
+def reaches_of(ranges: np.ndarray, max_range: float) -> np.ndarray:
+    """How far each beam saw free space."""
+    return np.array([[min(float(r), max_range) if r > 0 else 0.0 for r in row] for row in ranges])
 
 
-def is_free(
-    voxel: Voxel, ranges: np.ndarray, model: LidarModel, T: SE3, max_range: float, voxel_size: float
-) -> bool | None:
-    """Whether the range image sees the voxel free; None where rounding decides."""
+def bridged(reaches: np.ndarray, model: LidarModel) -> np.ndarray:
+    """How far the beams saw free space, the gaps of single beams bridged."""
+    result = reaches.copy()
+    for pixel in map(tuple, np.argwhere(reaches == 0)):
+        about = [float(reaches[p]) for p in neighbours(*pixel, model) if p != pixel]
+        if sum(d == 0 for d in about) <= 1 and any(about):
+            result[pixel] = min(d for d in about if d > 0)
+    return result
+
+
+def is_free(voxel: Voxel, reaches: np.ndarray, model: LidarModel, T: SE3, voxel_size: float) -> bool | None:
+    """Whether the range image sees the voxel free, given how far its beams saw; None where rounding decides."""
     point = T.inverse() @ centre_of(voxel, voxel_size)
     r = float(np.linalg.norm(point))
     beam, answers, sure = beam_of(point, model)
@@ -65,9 +73,9 @@ def is_free(
         return None
     if beam is None:
         return False
-    reach = reach_of(float(ranges[beam]), max_range)
+    reach = float(reaches[beam])
     aside = float(np.linalg.norm(np.cross(direction_of(*beam, model), point)))
-    clear = min(reach_of(float(ranges[p]), max_range) for p in neighbours(*beam, model))
+    clear = min(float(reaches[p]) for p in neighbours(*beam, model))
     rounding = 0.02 * voxel_size + 2e-3 * r * model.span / model.columns
     if abs(aside - voxel_size / 2) < rounding or abs(r - reach) < 1e-4 or abs(r + 0.87 * voxel_size - clear) < 1e-4:
         return None

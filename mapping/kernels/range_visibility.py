@@ -51,6 +51,35 @@ def measure_reach(ranges: Array, max_range: Float, reach: Array) -> Float:
 
 
 @njit(cache=True)
+def bridge_gaps(reach: Array, wraps: bool) -> None:
+    """Where a beam says nothing and at most one of those about it neither, let it have seen as far as the nearest of
+    them, and no surface; in place. wraps: whether the first column lies next to the last."""
+    rows, columns = reach.shape
+    bridged = np.empty((reach.size, 3), np.float32)
+    count = 0
+    for row in range(rows):
+        for column in range(columns):
+            if reach[row, column] != np.float32(0.0):
+                continue
+            gaps = 0
+            nearest = np.float32(np.inf)
+            for other in range(max(row - 1, 0), min(row + 2, rows)):
+                for beside in range(column - 1, column + 2):
+                    if (beside < 0 or beside >= columns) and not wraps:
+                        continue
+                    d = abs(reach[other, beside % columns])
+                    gaps += d == np.float32(0.0)
+                    nearest = min(nearest, d) if d > np.float32(0.0) else nearest
+                if gaps > 2:
+                    break
+            if gaps <= 2 and nearest < np.float32(np.inf):  # itself and one more
+                bridged[count, 0], bridged[count, 1], bridged[count, 2] = row, column, nearest
+                count += 1
+    for n in range(count):
+        reach[np.int64(bridged[n, 0]), np.int64(bridged[n, 1])] = -bridged[n, 2]
+
+
+@njit(cache=True)
 def build_windows(reach: Array, wraps: bool, windows: Array) -> None:
     """Fill windows (n, rows, columns, 2) float32 with the negative of the lowest |reach| of square windows of pixels
     and with the highest, in place.

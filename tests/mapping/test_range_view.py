@@ -68,6 +68,8 @@ def test_marks_agree_with_the_naive_twin(model, pose, seed, voxel_size, roughnes
     ranges = ranges_of(model, pose, seed, roughness)
     view = RangeView(ranges, model, pose, 5.0)
     rng = np.random.default_rng(seed)
+    reaches = naive.bridged(naive.reaches_of(ranges, 5.0), model)
+    np.testing.assert_allclose(np.abs(view.reach), reaches, rtol=1e-6)
     blocks = blocks_around(pose, 8 * voxel_size, 2.5)
     blocks = blocks[rng.integers(0, len(blocks), 12)]
     marks = mark(view, blocks, voxel_size)
@@ -75,7 +77,7 @@ def test_marks_agree_with_the_naive_twin(model, pose, seed, voxel_size, roughnes
     for n, block in enumerate(blocks):
         local = rng.integers(0, 512, 6)
         for voxel, marked in zip(voxels_in(block, local), marks[n, local], strict=True):
-            free = naive.is_free(voxel, ranges, model, pose, 5.0, voxel_size)
+            free = naive.is_free(voxel, reaches, model, pose, voxel_size)
             assert free is None or free == bool(marked), voxel
 
 
@@ -183,6 +185,19 @@ def test_a_planar_scanner_frees_what_its_beams_pass():
     cast.integrate(PLANAR.backproject(ranges).reshape(-1, 3), pose)
     known = layer.classify(cast.free_centres()) == 0
     assert known.mean() > 0.85
+
+
+def test_single_gaps_are_bridged_and_larger_ones_are_not():
+    ranges = np.full(EVEN.shape, 4.0, np.float32)
+    ranges[10, 100] = 0.0  # alone
+    ranges[20, 100:103] = 0.0  # three in a row
+    ranges[0, 0] = ranges[1, 255] = np.nan  # two neighbours, across the seam
+    ranges[11, 101] = 3.0
+    reach = RangeView(ranges, EVEN, SE3.identity(), 20.0).reach
+    assert reach[10, 100] == -3.0
+    assert reach[20, 100:103].tolist() == [-4.0, 0.0, -4.0]
+    assert reach[0, 0] == reach[1, 255] == -4.0
+    assert (np.delete(reach.ravel(), [20 * 256 + 101]) != 0.0).all()
 
 
 def test_an_image_that_saw_nothing_says_nothing():
