@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from itertools import islice
 from typing import Any
 
@@ -30,13 +29,15 @@ from mapping.points import PointMap
 from mapping.semantics import SemanticMap
 from mapping.surfels import SurfelMap
 from mapping.tsdf import TsdfMap
-from tests.support.building import CAMERA, CAMERA_RANGE_M, LIDAR_RANGE_M, lidar_scans, rgbd_images
+from tests.support.building import CAMERA, CAMERA_RANGE_M, LIDAR, LIDAR_RANGE_M, lidar_scan, lidar_scans, rgbd_images
 from tests.support.racing import Table, Times, columns
-from tests.support.recordings import recording
+from tests.support.recordings import recording as path_of
 
 SIZE = 0.05
 MILLION = 1_000_000
 MOST_IMAGES = 60
+NOISE_M = 0.01
+IMAGES, SCANS, RANGE_IMAGES = "images", "lidar scans", "range images"
 Seen = RgbdImage | Scan
 Update = Callable[[Any, Seen], object]
 
@@ -62,26 +63,30 @@ def _building_images() -> list[Seen]:
 def _building_scans() -> list[Seen]:
     return [
         Scan(stamp_ns=n, robot="robot", sensor="lidar", points=scan.points, T_map_sensor=scan.T_map_sensor)
-        for n, scan in enumerate(lidar_scans(noise_m=0.01))
+        for n, scan in enumerate(lidar_scans(noise_m=NOISE_M))
     ]
 
 
 def _recorded(name: str) -> list[Seen]:
-    found = (o for o in open_dataset(recording(name)) if isinstance(o, Seen))
+    found = (o for o in open_dataset(path_of(name)) if isinstance(o, Seen))
     return [o for o in islice(found, MOST_IMAGES) if _pose(o) is not None]
 
 
-RECORDINGS: dict[str, Callable[[], list[Seen]]] = {
-    "images of TUM fr1_rpy": lambda: _recorded("tum_fr1_rpy_rgbd"),
-    "images of the simulated building": _building_images,
-    "lidar scans of 3DTK's dat": lambda: _recorded("3dtk_dat_lidar_odometry"),
-    "lidar scans of the simulated building": _building_scans,
-}
+@dataclass(frozen=True)
+class Recording:
+    """What there is, and of which kinds it is."""
+
+    name: str
+    kinds: tuple[str, ...]
+    load: Callable[[], list[Seen]]
 
 
-@cache
-def recorded(name: str) -> list[Seen]:
-    return RECORDINGS[name]()
+RECORDINGS = [
+    Recording("TUM fr1_rpy", (IMAGES,), lambda: _recorded("tum_fr1_rpy_rgbd")),
+    Recording("the simulated building", (IMAGES,), _building_images),
+    Recording("3DTK's dat", (SCANS,), lambda: _recorded("3dtk_dat_lidar_odometry")),
+    Recording("the simulated building", (SCANS, RANGE_IMAGES), _building_scans),
+]
 
 
 def _pose(seen: Seen) -> SE3 | None:
@@ -120,8 +125,8 @@ class Contestant:
     update: Update
     known: Callable[[Any], int]
     query: Callable[[Any, np.ndarray], object] = lambda layer, points: layer.query(points)
-    of_images: bool = False
-    """It needs images."""
+    kinds: tuple[str, ...] = (IMAGES, SCANS)
+    """From what it is made here."""
 
 
 def by_beams(layer: Any, seen: Seen) -> None:
@@ -133,6 +138,12 @@ def by_image(layer: Any, seen: Seen) -> None:
         by_beams(layer, seen)
     else:
         layer.integrate_image(seen.depth, seen.intrinsics, seen.T_map_camera)
+
+
+def by_range_image(layer: Any, seen: Scan) -> None:
+    """A scan of the building; its stamp is its number."""
+    scan = lidar_scan(seen.stamp_ns, NOISE_M)
+    layer.integrate_range_image(scan.ranges, LIDAR, scan.T_map_sensor)
 
 
 def by_colored_image(layer: Any, seen: RgbdImage) -> None:
@@ -179,14 +190,17 @@ def source_of(range_m: float) -> EsdfMap:
 
 CONTESTANTS = [
     Contestant("OccupancyMap, rays", lambda r: OccupancyMap(SIZE, r), by_beams, known_voxels),
-    Contestant("OccupancyMap, projective", lambda r: OccupancyMap(SIZE, r), by_image, known_voxels, of_images=True),
+    Contestant("OccupancyMap, projective", lambda r: OccupancyMap(SIZE, r), by_image, known_voxels, kinds=(IMAGES,)),
+    Contestant(
+        "OccupancyMap, projective", lambda r: OccupancyMap(SIZE, r), by_range_image, known_voxels, kinds=(RANGE_IMAGES,)
+    ),
     Contestant("TsdfMap", lambda r: TsdfMap(SIZE, max_range_m=r), by_image, positive("weight")),
     Contestant(
         "TsdfMap with colours",
         lambda r: TsdfMap(SIZE, max_range_m=r),
         by_colored_image,
         positive("weight"),
-        of_images=True,
+        kinds=(IMAGES,),
     ),
     Contestant(
         "EsdfMap, 1 m",
@@ -224,20 +238,20 @@ def measure(contestant: Contestant, everything: Sequence[Seen], range_m: float, 
     return [contestant.name, str(Times(updates)), f"{megabytes:.1f}", f"{known}", each, str(Times(asked))]
 
 
-@pytest.mark.parametrize("name", RECORDINGS)
-def test_all_layers_on_one_recording(benchmark: BenchmarkFixture, table: Table, name: str) -> None:
-    everything = recorded(name)
-    of_images = isinstance(everything[0], RgbdImage)
-    range_m = CAMERA_RANGE_M if of_images else LIDAR_RANGE_M
+@pytest.mark.parametrize("recording", RECORDINGS, ids=lambda r: f"{r.kinds[0]} of {r.name}")
+def test_all_layers_on_one_recording(benchmark: BenchmarkFixture, table: Table, recording: Recording) -> None:
+    everything = recording.load()
+    range_m = CAMERA_RANGE_M if IMAGES in recording.kinds else LIDAR_RANGE_M
     points = places_near(everything, range_m)
     cells = [["layer", "update ms: median (least)", "memory MB", "cells known", "bytes a cell", "1e6 look-ups ms"]]
 
     def measure_all() -> None:
-        taking_part = [c for c in CONTESTANTS if of_images or not c.of_images]
+        taking_part = [c for c in CONTESTANTS if set(c.kinds) & set(recording.kinds)]
         cells.extend(measure(contestant, everything, range_m, points) for contestant in taking_part)
 
     benchmark.pedantic(measure_all, rounds=1)
-    table.notes += ["", f"all layers, {name} ({len(everything)}):", *columns(cells)]
+    title = f"all layers, {len(everything)} {' and '.join(recording.kinds)} of {recording.name}:"
+    table.notes += ["", title, *columns(cells)]
 
 
 def _ms(action: Callable[..., object], *arguments: object) -> float:
