@@ -29,13 +29,61 @@ CHUNK = 4096
 
 
 @njit(cache=True, inline="always")
-def trust(voxels: Float) -> Float:
-    """The weight of a signed distance [voxels]: 1 up to one voxel behind the surface, BEHIND from two on.
+def trust(voxels: Float, slack: Float) -> Float:
+    """The weight of a signed distance [voxels]: 1 up to 1 + slack behind the surface, BEHIND from one more on.
 
     What lies behind a surface is a guess. It must be there for the surface to lie between voxels, and it must yield
-    where the thing is seen from its other side, or both sides of a thin thing push each other apart.
+    where the thing is seen from its other side, or both sides of a thin thing push each other apart. But where noise
+    alone puts the surface so far before the voxel, leaving these measurements out would move the surface: hence slack.
     """
-    return min(np.float32(1.0), max(np.float32(2.0) + voxels, np.float32(BEHIND)))
+    one = np.float32(1.0)
+    return min(one, max(one + (one + slack) + voxels, np.float32(BEHIND)))
+
+
+@njit(cache=True, forceinline=True, error_model="numpy")
+def fold_block(
+    distance: Array,
+    weight: Array,
+    slot: Int,
+    s: Array,
+    z: Array,
+    voxel_size: Float,
+    truncation: Float,
+    carve: bool,
+    inverse_square: bool,
+    slack: Float,
+    max_weight: Float,
+    gains: Array,
+) -> Any:
+    """Fold one signed distance a voxel into the running means of the block in `slot`, in place; whether any changed.
+
+    s, z  : (512,) float32: distance [m], NaN where unseen; depth or range at which it was measured [m]
+    slack : how many voxels more the noise is given at 1 m; it grows with the square of z
+    gains : (512,) float32, filled: the weight of each measurement
+    """
+    one = np.float32(1.0)
+    tau = np.float32(truncation)
+    per_voxel = np.float32(1.0 / voxel_size)
+    front = np.float32(np.inf) if carve else tau
+    highest = np.float32(max_weight)
+    noise = np.float32(slack)
+    difference = np.uint8(0)
+    for w in range(512):
+        new = min(s[w], tau)
+        gain = one / (max(z[w], np.float32(0.5)) ** 2) if inverse_square else one
+        gain = gain * trust(new * per_voxel, noise * z[w] * z[w])
+        gains[w] = gain
+        old, had = distance[slot, w], weight[slot, w]
+        total = had + gain
+        mean = (old * had + new * gain) / total
+        total = min(total, highest)
+        update = (s[w] > -tau) & (s[w] <= front)
+        mean = mean if update else old
+        total = total if update else had
+        difference |= np.uint8(mean != old) | np.uint8(total != had)
+        distance[slot, w] = mean
+        weight[slot, w] = total
+    return difference != 0
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -72,6 +120,7 @@ def fuse_image(
     truncation: Float,
     carve: bool,
     inverse_square: bool,
+    slack: Float,
     max_weight: Float,
     reach: Array,
     camera: Array,
@@ -83,6 +132,7 @@ def fuse_image(
     distance, weight : (capacity, 512) float32 [m], [-]
     color            : (capacity, 512, 3) uint16 in 1/256 of a step, or empty
     carve            : whether voxels farther before the surface than `truncation` are updated too
+    slack            : see `fold_block`
     image            : (H, W, 3) uint8, or empty
     changed          : (n,) bool, filled
     """
@@ -90,9 +140,6 @@ def fuse_image(
     zero = np.float32(0.0)
     one = np.float32(1.0)
     tau = np.float32(truncation)
-    per_voxel = np.float32(1.0 / voxel_size)
-    front = np.float32(np.inf) if carve else tau
-    highest = np.float32(max_weight)
     colored = image.shape[0] > 0
     width = reach.shape[1]
     for n in prange(slots.shape[0]):
@@ -108,23 +155,9 @@ def fuse_image(
             in_front = d > zero or (d < zero and s[w] >= tau)
             if pixels[w] < 0 or not in_front:
                 s[w] = np.nan
-        difference = np.uint8(0)
-        for w in range(512):
-            new = min(s[w], tau)
-            gain = one / (max(z[w], np.float32(0.5)) ** 2) if inverse_square else one
-            gain = gain * trust(new * per_voxel)
-            gains[w] = gain
-            old, had = distance[slot, w], weight[slot, w]
-            total = had + gain
-            mean = (old * had + new * gain) / total
-            total = min(total, highest)
-            update = (s[w] > -tau) & (s[w] <= front)
-            mean = mean if update else old
-            total = total if update else had
-            difference |= np.uint8(mean != old) | np.uint8(total != had)
-            distance[slot, w] = mean
-            weight[slot, w] = total
-        changed[n] = difference != 0
+        changed[n] = fold_block(
+            distance, weight, slot, s, z, voxel_size, truncation, carve, inverse_square, slack, max_weight, gains
+        )
         if colored:
             for w in range(512):
                 if abs(s[w]) < tau:
@@ -146,6 +179,7 @@ def sum_beams(
     max_range: Float,
     voxel_size: Float,
     truncation: Float,
+    slack: Float,
     table: Array,
     blocks: Array,
     n_blocks: Int,
@@ -205,7 +239,7 @@ def sum_beams(
                 new = min(length - along, truncation)
                 if new > -truncation:
                     local = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
-                    gain = trust(np.float32(new * per_voxel))
+                    gain = trust(np.float32(new * per_voxel), np.float32(slack * length * length))
                     sums[row, local] += gain * new
                     weights[row, local] += gain
             if min(t0, t1, t2) > length + truncation:

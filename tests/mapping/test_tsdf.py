@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 from mapping.errors import InvalidObservation
 from mapping.geometry import SE3
 from mapping.grid import join_ijk
+from mapping.mesh import Mesh
+from mapping.sensors import LidarModel
 from mapping.tsdf import TsdfMap
 from tests import naive_layers as naive
 from tests.support.rooms import LARGE_CAMERA, MIDDLE_CAMERA, SMALL_CAMERA, TOUR, Room, looking
@@ -181,25 +183,40 @@ def test_what_has_gone_is_carved_away_unless_told_not_to():
     assert left[False] > 50
 
 
-@pytest.mark.parametrize(("thickness", "allowed"), [(0.2, 0.001), (0.15, 0.002), (0.1, 0.007)])
-def test_both_sides_of_a_thin_wall_stay_where_they_are(thickness, allowed):
-    """Seen from either side at 5 cm voxels: three and two voxels thick. A wall of one voxel is beyond this layer."""
-    errors = []
-    for shift in (0.0, 0.01, 0.02, 0.03, 0.04):
-        layer = TsdfMap(0.05, 0.15)
+def wall_from_both_sides(thickness: float, shift: float) -> TsdfMap:
+    """A wall across x at `shift`, seen by three cameras on each side, at 5 cm voxels."""
+    layer = TsdfMap(0.05, 0.15)
+    for side in (-1, 1):
+        for n in range(3):
+            pose = looking((0.0 if side < 0 else np.pi) + 0.2 * (n - 1), 0.0, (1.5 * side, 0.1 * n, 0.0))
+            rays = MIDDLE_CAMERA.rays().reshape(-1, 3) @ pose.rotation.T
+            depth = (shift + side * thickness / 2 - pose.translation[0]) / rays[:, 0]
+            layer.integrate_image(depth.reshape(240, 320).astype(np.float32), MIDDLE_CAMERA, pose)
+    return layer
+
+
+@pytest.mark.parametrize(
+    ("voxels", "thinner_m", "thicker_m", "share"),
+    [(4, 0.002, 0.002, 0.95), (3, 0.002, 0.004, 0.95), (2, 0.002, 0.014, 0.95), (1, 0.05, 0.05, 0.0)],
+)
+def test_a_thin_wall_is_as_thick_as_said(voxels, thinner_m, thicker_m, share):
+    """At four places in the grid. A wall of one voxel may be lost; nothing is promised of it."""
+    thickness, found, sides = 0.05 * voxels, [], []
+    for shift in (0.0, 0.0125, 0.025, 0.0375):
+        mesh = wall_from_both_sides(thickness, shift).mesh()
+        middles, area = mesh.vertices[mesh.triangles].mean(axis=1), []
         for side in (-1, 1):
-            for n in range(3):
-                pose = looking((0.0 if side < 0 else np.pi) + 0.2 * (n - 1), 0.0, (1.5 * side, 0.1 * n, 0.0))
-                rays = MIDDLE_CAMERA.rays().reshape(-1, 3) @ pose.rotation.T
-                depth = (shift + side * thickness / 2 - pose.translation[0]) / rays[:, 0]
-                layer.integrate_image(depth.reshape(240, 320).astype(np.float32), MIDDLE_CAMERA, pose)
-        points, normals, _ = layer.surface()
-        side = np.sign(normals[:, 0])
-        near = np.abs(points[:, 1:]).max(axis=1) < 0.4
-        errors.append((side * (points[:, 0] - shift) - thickness / 2)[near])
-    bias = float(np.concatenate(errors).mean())
-    print(f"wall of {thickness * 100:.0f} cm: each side {bias * 1e3:+.1f} mm")
-    assert abs(bias) < allowed
+            facing = (mesh.normals[mesh.triangles].mean(axis=1)[:, 0] * side > 0.0) & (
+                np.abs(middles[:, 1:]).max(axis=1) < 0.4
+            )
+            part = Mesh(mesh.vertices, mesh.triangles[facing], mesh.normals)
+            area.append(part.area_m2 / 0.8**2)
+            found.append(side * (middles[facing, 0] - shift))
+        sides.append(min(area))
+    measured = 2.0 * float(np.concatenate(found).mean()) if sum(map(len, found)) else float("nan")
+    print(f"wall of {voxels} voxels, {thickness * 100:.0f} cm: {measured * 100:.2f} cm; of a side ≥ {min(sides):.0%}")
+    assert min(sides) >= share
+    assert np.isnan(measured) or -thinner_m <= measured - thickness <= thicker_m
 
 
 def test_beams_and_images_make_the_same_surface():
@@ -209,6 +226,92 @@ def test_beams_and_images_make_the_same_surface():
     error = np.abs(Room().distance(by_beams.surface()[0].astype(np.float64)))
     assert np.median(error) < 0.006
     assert len(by_beams.surface()[0]) > 500
+
+
+def ranges_of(model: LidarModel, pose: SE3) -> np.ndarray:
+    """The exact range image of the room."""
+    rays = model.rays().reshape(-1, 3).astype(np.float64) @ pose.rotation.T
+    return Room().cast(pose.translation, rays).reshape(model.shape).astype(np.float32)
+
+
+def test_range_images_agree_with_the_naive_mean():
+    """Each voxel takes the beam nearest to its centre, when that passes near enough."""
+    model, pose = LidarModel.even(24, -0.5, 0.5, 180), SE3.exp([0.1, -0.2, 0.05, 0.1, -0.1, 0.7])
+    ranges = ranges_of(model, pose)
+    ranges[:, 30:40] = 0.0
+    layer = TsdfMap(0.1, 0.3, carve=False, weighting="constant")
+    layer.integrate_range_image(ranges, model, pose)
+    known = distances_of(layer)
+    compared = 0
+    for block in layer.block_ijk[::3]:
+        for voxel in list(naive.voxels_of_block(tuple(block.tolist())))[::5]:
+            centre = pose.inverse() @ naive.centre_of(voxel, 0.1)
+            rows, columns, (r,) = model.project(centre[None])
+            beam = model.rays()[rows[0], columns[0]]
+            aside = np.linalg.norm(centre - (centre @ beam) * beam)
+            s = ranges[rows[0], columns[0]] - r if rows[0] >= 0 and ranges[rows[0], columns[0]] > 0 else np.nan
+            angles = np.degrees([np.arctan2(centre[1], centre[0]), np.arcsin(centre[2] / r)])
+            if abs(aside - 0.0866) < 1e-3 or abs(abs(s) - 0.3) < 1e-3 or rows[0] < 0 or on_a_border(model, angles):
+                continue  # rounding decides
+            compared += 1
+            if aside < 0.0866 and abs(s) < 0.3:
+                assert known[voxel] == pytest.approx((s, min(1.0, max(2.0 + s / 0.1, 0.02))), abs=2e-4)
+            else:
+                assert voxel not in known
+    assert compared > 500
+
+
+def on_a_border(model: LidarModel, degrees: np.ndarray) -> bool:
+    """Whether a direction (azimuth, elevation) is within 0.05° of a border between two beams."""
+    columns = (np.degrees(model.first_azimuth) - degrees[0]) * model.columns / 360.0
+    elevations = np.degrees(model.elevations)
+    borders = 0.5 * (elevations[1:] + elevations[:-1])
+    return abs(columns % 1.0 - 0.5) < 0.05 or np.abs(borders - degrees[1]).min() < 0.05
+
+
+def test_range_images_and_their_beams_make_the_same_surface():
+    model = LidarModel.even(64, -0.5, 0.5, 1024)
+    by_image, by_beams = TsdfMap(0.05), TsdfMap(0.05)
+    for n in range(4):
+        pose = SE3.exp([0.1 * n - 0.5, 0.05 * n, 0.1 * n - 0.2, 0.05 * n, 0.1 * (n % 3 - 1), 0.7 * n])
+        by_image.integrate_range_image(ranges_of(model, pose), model, pose)
+        by_beams.integrate(model.backproject(ranges_of(model, pose)).reshape(-1, 3), pose)
+    points = by_image.surface()[0]
+    assert len(points) == pytest.approx(len(by_beams.surface()[0]), rel=0.03)
+    error = np.abs(Room().distance(points.astype(np.float64)))
+    assert np.median(error) < 0.002
+    assert np.percentile(error, 95) < 0.012
+
+
+def test_what_a_range_image_sees_through_is_carved_away():
+    model, pose = LidarModel.even(64, -0.5, 0.5, 1024), looking(0.0)
+    pose = SE3(np.eye(3), (0.0, 0.0, 0.0))
+    layer = TsdfMap(0.05, weighting="constant")
+    near = np.full(model.shape, 1.0, np.float32)
+    layer.integrate_range_image(near, model, pose)
+    before = len(layer.surface()[0])
+    for _ in range(20):
+        layer.integrate_range_image(near + np.float32(1.0), model, pose)
+    points = layer.surface()[0]
+    assert before > 1000
+    assert (np.linalg.norm(points, axis=1) > 1.9).all()
+
+
+def test_noise_is_not_taken_for_being_behind():
+    """Seen once at 4.5 m with a structured-light camera's noise, the wall lies where it is when the noise is known."""
+    rng = np.random.default_rng(0)
+    depth = np.full((240, 320), 4.5, np.float32)
+    bias = {}
+    for noise in (0.0, 0.0019):
+        layer = TsdfMap(0.02, depth_noise=noise)
+        for _ in range(6):
+            layer.integrate_image(
+                (depth + 0.0019 * 4.1**2 * rng.standard_normal(depth.shape)).astype(np.float32),
+                MIDDLE_CAMERA, looking(0.0),
+            )  # fmt: skip
+        bias[noise] = float(layer.surface()[0][:, 0].mean()) - 4.5
+    print(f"wall at 4.5 m: {bias[0.0] * 1e3:+.1f} mm, with depth_noise {bias[0.0019] * 1e3:+.1f} mm")
+    assert abs(bias[0.0019]) < 0.5 * abs(bias[0.0])
 
 
 def test_colour_is_that_of_the_surface():
