@@ -150,13 +150,3 @@ def trilinear(values: dict[Voxel, float], point: np.ndarray, voxel_size: float) 
         weight = np.prod([share[a] if corner[a] else 1.0 - share[a] for a in range(3)])
         total += weight * values.get(tuple(base + corner), float("nan"))
     return float(total)
-
-
-def nearest_squared(sites: np.ndarray) -> np.ndarray:
-    """Squared distance [voxels²] from each voxel of a dense bool array to the nearest site, by trying all."""
-    places = np.argwhere(sites)
-    squared = np.full(sites.shape, inf)
-    for voxel in np.ndindex(sites.shape):
-        if len(places):
-            squared[voxel] = ((places - voxel) ** 2).sum(axis=1).min()
-    return squared

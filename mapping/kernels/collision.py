@@ -32,7 +32,7 @@ def scan_column(
     table: Array, distance: Array, i: Int, j: Int, low: Int, high: Int, least: Float, unknown: bool, at: Array
 ) -> tuple[Float, bool]:
     """The smaller of `least` and the distances of voxels (i, j, low … high), and whether one of them is unknown or
-    `unknown` was true. Fills at (3,) with the voxel of the smallest, or the first unknown one while none is occupied."""
+    `unknown` was true. Fills at (3,) with the voxel of the smallest, or the first unknown one while none collides."""
     k = low
     while k <= high:
         end = min(high, k | 7)

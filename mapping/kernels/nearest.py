@@ -230,7 +230,7 @@ def try_sites(sites: Array, count: Int, boxes: Array, squared: Array, nearest: A
             continue
         measure_lead(x, y, z, find_rival(x, y, z, box, lead), box, lead)
         x0, y0, z0 = 4 * (octant >> 2), 4 * ((octant >> 1) & 1), 4 * (octant & 1)
-        kept = 0
+        kept = np.int64(0)
         for n in range(count):
             if lead[n] >= np.float32(0.0):
                 along[0, kept], along[1, kept], along[2, kept] = x[n] - x0, y[n] - y0, z[n] - z0
@@ -246,6 +246,39 @@ def try_sites(sites: Array, count: Int, boxes: Array, squared: Array, nearest: A
                 nearest[octant, v] = np.int32(
                     (np.int64(x[n]) + 512) << 20 | (np.int64(y[n]) + 512) << 10 | (np.int64(z[n]) + 512)
                 )
+
+
+@njit(cache=True, inline="always")
+def local_of(octant: Int, v: Int) -> Int:
+    """The place in its block of voxel v, 16 x + 4 y + z, of an octant."""
+    x, y, z = (octant & 4) | v >> 4, (octant & 2) << 1 | ((v >> 2) & 3), (octant & 1) << 2 | (v & 3)
+    return x << 6 | y << 3 | z
+
+
+@njit(cache=True)
+def bound_wanted(wanted: Array, far: Int, boxes: Array, whole: Array, squared: Array) -> bool:
+    """The boxes of what is wanted (512,) of a block, its octants' (8, 6) float32 and its whole (6,), filled; whether
+    there is anything. squared (8, 64) int32 becomes `far` where wanted, else 0: nothing is nearer."""
+    none = True
+    for octant in range(8):
+        x0 = y0 = z0 = np.int64(8)
+        x1 = y1 = z1 = np.int64(-1)
+        for v in range(64):
+            w = local_of(octant, v)
+            squared[octant, v] = 0
+            if wanted[w]:
+                squared[octant, v] = far
+                x, y, z = w >> 6, (w >> 3) & 7, w & 7
+                x0, y0, z0 = min(x0, x), min(y0, y), min(z0, z)
+                x1, y1, z1 = max(x1, x), max(y1, y), max(z1, z)
+        box = boxes[octant]
+        box[0], box[1], box[2], box[3], box[4], box[5] = x0, y0, z0, x1, y1, z1
+        if none:
+            whole[0], whole[1], whole[2], whole[3], whole[4], whole[5] = x0, y0, z0, x1, y1, z1
+        whole[0], whole[1], whole[2] = min(whole[0], x0), min(whole[1], y0), min(whole[2], z0)
+        whole[3], whole[4], whole[5] = max(whole[3], x1), max(whole[4], y1), max(whole[5], z1)
+        none = bool(none and x1 < 0)
+    return not none
 
 
 @njit(cache=True)
@@ -271,25 +304,10 @@ def find_nearest(
               a coordinate, plus 512 each; of several the first in the order of `offsets`, then of the voxels
     """
     nx, ny, nz = grid.shape
-    boxes = np.empty((8, 6), np.float32)
-    boxes[:, :3], boxes[:, 3:] = 8.0, -1.0
+    boxes, whole, rival = np.empty((8, 6), np.float32), np.empty(6, np.int64), np.empty(3, np.int64)
     mine, found = np.empty((8, 64), np.int32), np.empty((8, 64), np.int32)
-    some = False
-    for octant in range(8):
-        box = boxes[octant]
-        for v in range(64):
-            a, b, c = 4 * (octant >> 2) + (v >> 4), (octant & 2) << 1 | ((v >> 2) & 3), (octant & 1) << 2 | (v & 3)
-            mine[octant, v] = 0  # nothing is nearer: left alone
-            if wanted[a << 6 | b << 3 | c]:
-                mine[octant, v] = far
-                box[0], box[1], box[2] = min(box[0], a), min(box[1], b), min(box[2], c)
-                box[3], box[4], box[5] = max(box[3], a), max(box[4], b), max(box[5], c)
-                some = True
-    if not some:
+    if not bound_wanted(wanted, far, boxes, whole, mine):
         return
-    whole, rival = np.empty(6, np.int64), np.empty(3, np.int64)
-    for a in range(3):
-        whole[a], whole[a + 3] = np.int64(boxes[:, a].min()), np.int64(boxes[:, a + 3].max())
     if find_central(planes, plane, grid, at, offsets, whole, rival):
         worst = np.int64(0)
         for a in range(3):
@@ -303,7 +321,7 @@ def find_nearest(
             np.empty(_ROOM, np.float32),
             np.empty((17, _ROOM), np.int32),
         )
-        count = 0
+        count = np.int64(0)
         for o in range(offsets.shape[0]):
             if offsets[o, 3] > worst:
                 break
@@ -315,15 +333,14 @@ def find_nearest(
                 continue
             if count > _ROOM - 512:
                 try_sites(sites, count, boxes, mine, found, lead, work)
-                count = 0
+                count = np.int64(0)
             bx, by, bz = m + offsets[o, 0], m + offsets[o, 1], m + offsets[o, 2]
             count = gather_sites(planes[slot, plane], bx, by, bz, apart, ahead, worst, sites, count)
         if count:
             try_sites(sites, count, boxes, mine, found, lead, work)
     for octant in range(8):
         for v in range(64):
-            a, b, c = 4 * (octant >> 2) + (v >> 4), (octant & 2) << 1 | ((v >> 2) & 3), (octant & 1) << 2 | (v & 3)
-            w = a << 6 | b << 3 | c
+            w = local_of(octant, v)
             if wanted[w]:
                 squared[w] = mine[octant, v]
                 nearest[w] = found[octant, v]

@@ -9,22 +9,38 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mapping.collision import spheres_are_free
 from mapping.elevation import ElevationMap, ExtendedElevationMap, HeightMap
 from mapping.errors import InvalidParameter, MappingError
 from mapping.esdf import EsdfMap
 from mapping.geometry import SE3
 from mapping.grid import BLOCK_VOXELS, ijk_to_centre, join_ijk
-from mapping.kernels import boxes, hashing, marching_cubes, occupancy, surface, tsdf, visibility
+from mapping.kernels import (
+    collision,
+    esdf,
+    hashing,
+    marching_cubes,
+    mend_classes,
+    mend_crossings,
+    nearest,
+    occupancy,
+    sites,
+    surface,
+    tsdf,
+    visibility,
+)
 from mapping.layer import Changed, MapLayer
 from mapping.multilevel import MultiLevelMap
 from mapping.occupancy import OccupancyMap
 from mapping.points import PointMap
 from mapping.semantics import SemanticMap
+from mapping.sensors import LidarModel
 from mapping.surfels import SurfelMap
 from mapping.tsdf import TsdfMap
 from tests.support.rooms import SMALL_CAMERA, TOUR, Room
 
 VOXEL_SIZE = 0.1
+LIDAR = LidarModel.even(24, -0.5, 0.5, 180)
 
 
 @dataclass(frozen=True)
@@ -56,6 +72,12 @@ def colored_image(layer: Any, n: int) -> Changed:
 def feed_source(layer: EsdfMap, n: int) -> Changed:
     image(layer.source, n)
     return layer.update()
+
+
+def range_image(layer: Any, n: int) -> Changed:
+    rays = LIDAR.rays().reshape(-1, 3) @ TOUR[n].rotation.T.astype(np.float32)
+    ranges = Room().cast(TOUR[n].translation, rays).reshape(LIDAR.shape).astype(np.float32)
+    return layer.integrate_range_image(ranges, LIDAR, TOUR[n])
 
 
 def many_beams(layer: SurfelMap, n: int) -> Changed:
@@ -94,6 +116,7 @@ CASES = [
     Case("tsdf of beams", TsdfMap, beams, value, {"truncation_m": 0.01, "max_weight": 0.0}, 1e-5),
     Case("tsdf of images", TsdfMap, image, value, {"truncation_m": 5.0, "weighting": "none"}, 1e-5),
     Case("tsdf of coloured images", TsdfMap, colored_image, value, {"max_range_m": float("inf")}, 1e-5),
+    Case("tsdf of range images", TsdfMap, range_image, value, {"depth_noise": -0.1}, 1e-5),
     Case(
         "esdf of occupancy",
         lambda voxel_size_m, **rest: EsdfMap(OccupancyMap(voxel_size_m), rest.pop("truncation_m", 0.5), **rest),
@@ -260,7 +283,9 @@ def test_points_of_a_wrong_shape_are_refused(case):
 def test_memory_is_counted(case):
     layer = fed(case, (0,))
     least = sum(len(content) for content in snapshot(layer).values())
-    assert layer.memory_bytes >= (0.5 if isinstance(layer, OccupancyMap) else 1.0) * least  # uniform blocks hold no voxels
+    assert (
+        layer.memory_bytes >= (0.5 if isinstance(layer, OccupancyMap) else 1.0) * least
+    )  # uniform blocks hold no voxels
 
 
 @pytest.mark.parametrize("case", CASES[:4], ids=lambda case: case.name)
@@ -278,7 +303,8 @@ def test_any_number_of_threads_gives_the_same_map(case):
 
 def compiled() -> dict[str, int]:
     """For each kernel, for how many types of input it is compiled."""
-    modules = (boxes, hashing, marching_cubes, occupancy, surface, tsdf, visibility)
+    modules = (hashing, marching_cubes, occupancy, surface, tsdf, visibility)
+    modules += (collision, esdf, mend_classes, mend_crossings, nearest, sites)
     kernels = {f"{module.__name__}.{name}": value for module in modules for name, value in vars(module).items()}
     return {name: len(kernel.signatures) for name, kernel in kernels.items() if hasattr(kernel, "signatures")}
 
@@ -293,6 +319,7 @@ def test_kernels_are_compiled_once_whatever_arrays_a_caller_holds():
             layer.integrate_image(depth, SMALL_CAMERA, TOUR[0])
             layer.integrate(cloud, TOUR[0])
             layer.query(cloud)
+            spheres_are_free(EsdfMap(layer, 0.3), cloud, 0.1)
         layer.integrate_image(depth, SMALL_CAMERA, TOUR[0], color)
         layer.surface()
         layer.surface(layer.block_ijk[::2])
