@@ -196,6 +196,13 @@ CONTESTANTS = [
     ),
     Contestant("TsdfMap", lambda r: TsdfMap(SIZE, max_range_m=r), by_image, positive("weight")),
     Contestant(
+        "TsdfMap, projective",
+        lambda r: TsdfMap(SIZE, max_range_m=r),
+        by_range_image,
+        positive("weight"),
+        kinds=(RANGE_IMAGES,),
+    ),
+    Contestant(
         "TsdfMap with colours",
         lambda r: TsdfMap(SIZE, max_range_m=r),
         by_colored_image,
