@@ -45,8 +45,8 @@ class TsdfMap(MapLayer):
     with_color      keep colours from the beginning; otherwise from the first image that has any
 
     Measurements count little from two voxels behind their surface on, so that the sides of a thin thing stay apart.
-    Measured at 5 cm voxels, walls seen from both sides: 20 and 15 cm come out as 20.0 and 15.1 cm, 10 cm (two voxels) as
-    11.0 cm, 5 cm (one voxel) as 9.2 cm: things thinner than two voxels come out about two voxels thick.
+    Measured at 5 cm voxels, walls seen from both sides: 20 and 15 cm come out as 20.0 and 15.1 cm, 10 cm (two voxels)
+    as 11.0 cm, 5 cm (one voxel) as 9.2 cm: things thinner than two voxels come out about two voxels thick.
 
     Distances run along the viewing ray, not along the surface's normal; they are exact where they are zero.
 
