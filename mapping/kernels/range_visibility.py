@@ -26,6 +26,9 @@ Float: TypeAlias = Any
 
 WINDOWS = 6
 """Sizes of windows: 1, 2, 4 … pixels along an edge."""
+_LEVEL_OF_HALF = np.array([max(0, int(n - 1).bit_length() - 1) for n in range(256)])
+_LEVEL_OF_QUARTER = np.array([max(0, int(n - 1).bit_length() - 2) for n in range(256)])
+"""Of so many pixels: the smallest windows of which two, or four, reach over them."""
 NEAR, FAR, STEP_HIGH, STEP_LOW, LEFT, RIGHT, FLAT, AHEAD_X, AHEAD_Y, HEIGHT, COLUMN = range(11)
 N_BOUNDS = 11
 """What is known of a cell, see `bound_children`."""
@@ -119,20 +122,26 @@ def range_bounds(windows: Array, row0: Int, row1: Int, column0: Int, n_columns: 
     """Lowest and highest range over at least rows row0 … row1 and n_columns columns from column0 on, which may wrap."""
     columns = windows.shape[2]
     n_rows = row1 - row0 + 1
-    fewer, more = min(n_rows, n_columns), max(n_rows, n_columns)
-    level = 0
-    while level + 1 < windows.shape[0] and ((2 << level) <= fewer or (4 << level) < more):
-        level += 1
+    level = windows.shape[0] - 1
+    if n_rows < _LEVEL_OF_HALF.shape[0] and n_columns < _LEVEL_OF_QUARTER.shape[0]:
+        level = min(level, max(_LEVEL_OF_HALF[n_rows], _LEVEL_OF_QUARTER[n_columns]))
     size = 1 << level
     rest = max(n_columns - size, 0)
     low, high = -np.float32(np.inf), np.float32(0.0)
-    for row in range(row0, row1 + 1, 2 * size):
-        first, second = windows[level, row], windows[level, min(row + size, max(row1 - size + 1, row))]
-        for n in range((n_columns + size - 1) // size):
-            column = column0 + min(n * size, rest)
+    if n_rows <= 2 * size and n_columns <= 4 * size:  # eight windows, without branches that nobody could foresee
+        first, second = windows[level, row0], windows[level, max(row1 - size + 1, row0)]
+        for n in range(4):
+            column = column0 + min(n << level, rest)
             at = np.uint64(column - columns if column >= columns else column)
             low = max(low, max(first[at, 0], second[at, 0]))
             high = max(high, max(first[at, 1], second[at, 1]))
+        return -low, high
+    for row in range(row0, row1 + 1, size):
+        first = windows[level, min(row, max(row1 - size + 1, row0))]
+        for n in range((n_columns + size - 1) >> level):
+            column = column0 + min(n << level, rest)
+            at = np.uint64(column - columns if column >= columns else column)
+            low, high = max(low, first[at, 0]), max(high, first[at, 1])
     return -low, high
 
 
@@ -233,7 +242,7 @@ def classify_children(
         right: Int = np.int64(np.floor(bounds[RIGHT, n]))
         if whole_turn:
             n_columns = min(right - left + 1, columns)
-            column0 = left % columns
+            column0 = 0 if n_columns == columns else left + columns if left < 0 else left
         else:
             inside = inside and left >= 0 and right <= columns - 1
             if right < turn - 1.5 and left > columns - turn + 0.5:
