@@ -13,7 +13,7 @@ import pytest
 from mapping.datasets.opening import open_dataset
 from mapping.occupancy import OccupancyMap
 from tests.support import modes
-from tests.support.agreement import classes_of, with_octomap
+from tests.support.agreement import beams_cast, classes_of, why, with_octomap
 from tests.support.building import N_IMAGES, building, lidar_scans, rgbd_image, rgbd_images
 from tests.support.modes import Beams, Configuration, beams_of
 from tests.support.recordings import recording
@@ -54,6 +54,19 @@ def test_rays_of_recorded_scans_say_what_octomap_says(name, discretize, tmp_path
     folder = recording(f"la3dm_sim_lidar_poses/{name}")
     scans = [Beams(scan.points, scan.T_map_sensor) for scan in open_dataset(folder) if hasattr(scan, "points")]
     compare_with_octomap(name, Configuration(0.1, 8.0, discretize), scans, tmp_path)
+
+
+@pytest.mark.parametrize("configuration", [modes.LIDAR_10CM, modes.LIDAR_10CM_DISCRETISED], ids=str)
+def test_what_has_no_reason_is_not_explained_away(configuration):
+    """Voxels that beams pass through their middle, or end in: were they to differ, it would be a fault."""
+    [beams] = beams_of(lidar_scans(1))
+    cast = [(beams.origin, *beams_cast(configuration, beams))]
+    _, ends, _, sure = cast[0]
+    for share in (0.5, 1.0):
+        places = beams.origin + share * (ends[sure][::3001] - beams.origin)
+        voxels = np.floor(places / configuration.voxel_size_m)
+        inner = np.abs(places / configuration.voxel_size_m - voxels - 0.5).max(axis=1) < 0.4
+        assert {why(voxel, configuration, cast) for voxel in voxels[inner]} == {"unexplained"}
 
 
 @pytest.mark.parametrize("noisy", [False, True], ids=["exact", "noisy"])
