@@ -55,7 +55,7 @@ class RangeView:
         self.pose: NDArray[np.float64] = np.concatenate([pose.rotation.ravel(), pose.translation])
         """(12,) R_map_sensor row by row, then t_map_sensor."""
         self.reach: NDArray[np.float32] = np.empty_like(ranges_m)
-        """(rows, columns) float32 see `mapping.kernels.lidar`."""
+        """(rows, columns) float32 see `mapping.kernels.range_visibility`."""
         self.farthest_m = float(range_visibility.measure_reach(ranges_m, self.max_range_m, self.reach))
         """The largest range of which the image says anything [m]."""
         wraps = bool(model.seeing[2] == model.seeing[3])

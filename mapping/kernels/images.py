@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, TypeAlias
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[Any]
@@ -66,7 +66,7 @@ def drop_points(points: Array, camera: Array, depth: Array, index: Array) -> Non
             index[v, u] = n
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, parallel=True, error_model="numpy")
 def look_from(depth: Array, camera: Array, pose: Array, other: Array, seen: Array) -> None:
     """Where each pixel of a depth image (H, W) float32 [m] lies in the image of another camera.
 
@@ -75,7 +75,7 @@ def look_from(depth: Array, camera: Array, pose: Array, other: Array, seen: Arra
            nothing or the point lies outside the other's image
     """
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    for v in range(depth.shape[0]):
+    for v in prange(depth.shape[0]):
         for u in range(depth.shape[1]):
             d = np.float64(depth[v, u])
             x, y = (u - cx) / fx * d, (v - cy) / fy * d
@@ -114,7 +114,7 @@ def cover(depth: Array, seen: Array, magnify_x: Float, magnify_y: Float, nearest
                     nearest[j, i] = min(nearest[j, i], z)
 
 
-@njit(cache=True)
+@njit(cache=True, parallel=True)
 def pick_colors(seen: Array, nearest: Array, tolerance: Float, color: Array, picked: Array, valid: Array) -> None:
     """The colour of each pixel of depth, between the four pixels of `color` (h, w, 3) uint8 about it.
 
@@ -122,21 +122,22 @@ def pick_colors(seen: Array, nearest: Array, tolerance: Float, color: Array, pic
     picked, valid : (H, W, 3) uint8 and (H, W) bool, filled; black where not valid
     """
     height, width = nearest.shape
-    for v in range(seen.shape[0]):
+    half, most = np.float32(0.5), np.float32(1.0 + tolerance)
+    right_most, lowest = np.float32(width - 1), np.float32(height - 1)
+    for v in prange(seen.shape[0]):
         for u in range(seen.shape[1]):
-            column, row, z = seen[v, u, 0], seen[v, u, 1], seen[v, u, 2]
-            i = min(max(np.int64(np.floor(column + np.float32(0.5))), 0), width - 1)
-            j = min(max(np.int64(np.floor(row + np.float32(0.5))), 0), height - 1)
-            valid[v, u] = z > 0.0 and z <= nearest[j, i] * (1.0 + tolerance)
-            if not valid[v, u]:
-                picked[v, u] = 0
-                continue
-            column = min(max(column, np.float32(0.0)), np.float32(width - 1))
-            row = min(max(row, np.float32(0.0)), np.float32(height - 1))
+            # Within half a pixel beyond the outermost ones, those count.
+            column = min(max(seen[v, u, 0], np.float32(0.0)), right_most)
+            row = min(max(seen[v, u, 1], np.float32(0.0)), lowest)
+            z = seen[v, u, 2]
+            visible = z > np.float32(0.0) and z <= nearest[np.int64(row + half), np.int64(column + half)] * most
+            valid[v, u] = visible
             i, j = np.int64(column), np.int64(row)
             right, below = min(i + 1, width - 1), min(j + 1, height - 1)
             a, b = column - np.float32(i), row - np.float32(j)
             for c in range(3):
-                upper = color[j, i, c] * (1.0 - a) + color[j, right, c] * a
-                lower = color[below, i, c] * (1.0 - a) + color[below, right, c] * a
-                picked[v, u, c] = np.uint8(upper * (1.0 - b) + lower * b + 0.5)
+                first, second = np.float32(color[j, i, c]), np.float32(color[below, i, c])
+                upper = first + (np.float32(color[j, right, c]) - first) * a
+                lower = second + (np.float32(color[below, right, c]) - second) * a
+                mixed = upper + (lower - upper) * b + half
+                picked[v, u, c] = np.uint8(mixed) if visible else np.uint8(0)
