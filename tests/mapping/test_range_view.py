@@ -1,5 +1,6 @@
 """Range images: coarse to fine says what voxel by voxel says, and that is what beams say where both know."""
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -198,6 +199,17 @@ def test_single_gaps_are_bridged_and_larger_ones_are_not():
     assert reach[20, 100:103].tolist() == [-4.0, 0.0, -4.0]
     assert reach[0, 0] == reach[1, 255] == -4.0
     assert (np.delete(reach.ravel(), [20 * 256 + 101]) != 0.0).all()
+
+
+def test_any_number_of_threads_gives_the_same_map():
+    maps = []
+    for threads in (1, numba.config.NUMBA_NUM_THREADS):
+        numba.set_num_threads(threads)
+        maps.append(OccupancyMap(0.05, 5.0))
+        for ranges, pose in scans_of_the_room():
+            maps[-1].integrate_range_image(ranges, EVEN, pose)
+    first, second = (layer.state() for layer in maps)
+    assert all(np.array_equal(first[name], second[name]) for name in first)
 
 
 def test_an_image_that_saw_nothing_says_nothing():
