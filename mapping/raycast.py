@@ -55,8 +55,8 @@ def render(
     bounds = np.empty((-(-model.height // raycast.TILE), -(-model.width // raycast.TILE), 2), np.float32)
     boxes = tsdf.surface_boxes()
     raycast.bound_tiles(store.block_ijk, boxes, store.voxel_size_m, camera, farthest, bounds)
-    depth = np.empty((model.height, model.width), np.float32)
-    normals = np.empty((model.height, model.width, 3), np.float32)
+    depth = np.zeros((model.height, model.width), np.float32)
+    normals = np.zeros((model.height, model.width, 3), np.float32)
     raycast.cast_view(
         store.table, distance, weight, store.voxel_size_m, tsdf.max_jump_m, camera, pose_row, farthest, bounds,
         depth, normals,

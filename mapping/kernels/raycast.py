@@ -25,8 +25,11 @@ TILE = 8
 """Edge in pixels of the cells for which nearest and farthest possible surface are kept."""
 CAUTION = 0.7
 """Share of the distance at a point that a ray is moved on: distances were measured along other rays."""
-REFINEMENTS = 2
-"""How often the place of a surface is interpolated anew."""
+FAR_APART = 1.5
+"""In voxels: the change of sign is narrowed down to this before the surface is interpolated."""
+REFINEMENTS = 1
+"""How often the distance is measured where the surface was interpolated, before it is interpolated for the last
+time."""
 
 
 @njit(cache=True, parallel=True)
@@ -115,24 +118,22 @@ def cast_view(
     depth: Array,
     normals: Array,
 ) -> None:
-    """March along the ray of each pixel to where the distance changes from before to behind a surface; fills the image.
+    """March along the ray of each pixel to where the distance changes from before to behind a surface, in place.
 
     max_jump      : a change by more over one voxel [m] is an edge between two surfaces, not a surface
     camera, pose  : (18,) as in `mapping.kernels.visibility`; (12,) R_map_camera row by row, then t_map_camera
     bounds        : from `bound_tiles`
-    depth, normals: (H, W) float32 z [m] and (H, W, 3) float32 in the map, into free space; 0 where nothing is seen
+    depth, normals: (H, W) float32 z [m] and (H, W, 3) float32 in the map, into free space; left as they are
+                    where nothing is seen
     """
     fx, fy, cx, cy = camera[12], camera[13], camera[14], camera[15]
     per_voxel = 1.0 / voxel_size
     o0, o1, o2 = pose[9] * per_voxel - 0.5, pose[10] * per_voxel - 0.5, pose[11] * per_voxel - 0.5
-    shortest = 0.5 * voxel_size
     for v in prange(depth.shape[0]):
         last_i, last_j, last_k = np.int64(BLOCK_LIMIT), np.int64(0), np.int64(0)
         slot: Int = np.int64(-1)
-        gradient = np.empty(3, np.float64)
+        corners, gradient = np.empty(8, np.float64), np.empty(3, np.float64)
         for u in range(depth.shape[1]):
-            depth[v, u] = 0.0
-            normals[v, u] = 0.0
             z, end = np.float64(bounds[v // TILE, u // TILE, 0]), np.float64(bounds[v // TILE, u // TILE, 1])
             if not z < end:
                 continue
@@ -184,68 +185,81 @@ def cast_view(
                         z_behind, behind = z, here
                 elif here >= 0.0:
                     before, z_before = here, z
-                    z += max(CAUTION * here, shortest) * per_length
+                    z += max(CAUTION * here, voxel_size) * per_length
                     continue
                 elif here < 0.0 and before >= 0.0:
                     z_behind, behind, tries = z, here, 0
                 else:
                     before = np.nan
-                    z += shortest * per_length
+                    z += voxel_size * per_length
                     continue
                 between = (z_behind - z_before) * stretch * per_voxel
-                if not here > -np.inf or (tries == 0 and between <= 1.0 and before - behind >= max_jump * between):
+                if not here > -np.inf or (
+                    tries == 0 and between <= FAR_APART and before - behind >= max_jump * between
+                ):
                     norm = 0.0
                 elif tries < REFINEMENTS:
-                    if between > 1.0:
+                    if between > FAR_APART:
                         z = 0.5 * (z_before + z_behind)
                     else:
                         z = z_before + (z_behind - z_before) * before / (before - behind)
                         tries += 1
                     continue
                 else:
-                    norm = find_slope(table, distance, max_jump, i, j, k, p0 - i, p1 - j, p2 - k, gradient)
+                    read_corners(table, distance, i, j, k, slot, corners)
+                    norm = find_slope(corners, max_jump, p0 - i, p1 - j, p2 - k, gradient)
                 if norm > 0.0:
-                    depth[v, u] = z
+                    depth[v, u] = z_before + (z_behind - z_before) * before / (before - behind)
                     for axis in range(3):
                         normals[v, u, axis] = gradient[axis] / norm
                     break
-                z = z_behind + shortest * per_length  # something unknown, or an edge between two surfaces
+                z = z_behind + 0.5 * voxel_size * per_length  # something unknown, or an edge between two surfaces
                 before = behind = np.nan
 
 
+@njit(cache=True, forceinline=True)
+def read_corners(table: Array, distance: Array, i: Int, j: Int, k: Int, slot: Int, corners: Array) -> None:
+    """The distances (8,) of the known voxels from (i, j, k) on, in place; `slot` is that of the first one's block."""
+    if (i & 7) < 7 and (j & 7) < 7 and (k & 7) < 7:
+        n = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
+        for corner in range(8):
+            corners[corner] = distance[slot, n + ((corner & 4) << 4 | (corner & 2) << 2 | (corner & 1))]
+        return
+    for corner in range(8):
+        a, b, c = i + (corner >> 2), j + ((corner >> 1) & 1), k + (corner & 1)
+        corners[corner] = distance[lookup(table, a >> 3, b >> 3, c >> 3), (a & 7) << 6 | (b & 7) << 3 | (c & 7)]
+
+
 @njit(cache=True)
-def find_slope(
-    table: Array,
-    distance: Array,
-    max_jump: Float,
-    i: Int,
-    j: Int,
-    k: Int,
-    fx: Float,
-    fy: Float,
-    fz: Float,
-    gradient: Array,
-) -> Float:
-    """Gradient (3,) [m a voxel] of the distance between the eight known voxels from (i, j, k) on, in place.
+def find_slope(corners: Array, max_jump: Float, fx: Float, fy: Float, fz: Float, gradient: Array) -> Float:
+    """Gradient (3,) [m a voxel] between eight corners, at the shares fx, fy, fz of the way, in place.
 
     Returns its norm; 0 where the sign changes by `max_jump` or more along an edge between two of them: there is no
     surface there, as in the mesh.
     """
-    corners = np.empty(8, np.float32)
-    gradient[:] = 0.0
-    for corner in range(8):
-        di, dj, dk = corner >> 2, (corner >> 1) & 1, corner & 1
-        slot = lookup(table, (i + di) >> 3, (j + dj) >> 3, (k + dk) >> 3)
-        value = distance[slot, ((i + di) & 7) << 6 | ((j + dj) & 7) << 3 | ((k + dk) & 7)]
-        corners[corner] = value
-        x, y, z = (fx if di else 1.0 - fx), (fy if dj else 1.0 - fy), (fz if dk else 1.0 - fz)
-        gradient[0] += value * y * z * (1.0 if di else -1.0)
-        gradient[1] += value * x * z * (1.0 if dj else -1.0)
-        gradient[2] += value * x * y * (1.0 if dk else -1.0)
     for corner in range(8):
         here = corners[corner]
         for bit in (4, 2, 1):
             there = corners[corner | bit]
             if (here < 0.0) != (there < 0.0) and not abs(here - there) < max_jump:
                 return 0.0
+    gx, gy, gz = 1.0 - fx, 1.0 - fy, 1.0 - fz
+    gradient[0] = (
+        (corners[4] - corners[0]) * gy * gz
+        + (corners[5] - corners[1]) * gy * fz
+        + (corners[6] - corners[2]) * fy * gz
+        + (corners[7] - corners[3]) * fy * fz
+    )
+    gradient[1] = (
+        (corners[2] - corners[0]) * gx * gz
+        + (corners[3] - corners[1]) * gx * fz
+        + (corners[6] - corners[4]) * fx * gz
+        + (corners[7] - corners[5]) * fx * fz
+    )
+    gradient[2] = (
+        (corners[1] - corners[0]) * gx * gy
+        + (corners[3] - corners[2]) * gx * fy
+        + (corners[5] - corners[4]) * fx * gy
+        + (corners[7] - corners[6]) * fx * fy
+    )
     return np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)

@@ -296,12 +296,13 @@ def sample_field(
         return np.nan
     li, lj, lk = i & 7, j & 7, k & 7
     if li < 7 and lj < 7 and lk < 7:  # all in one block
-        d, w = distance[slot], weight[slot]
         n = li << 6 | lj << 3 | lk
-        least = min(min(w[n], w[n + 1]), min(w[n + 8], w[n + 9]))
-        least = min(least, min(min(w[n + 64], w[n + 65]), min(w[n + 72], w[n + 73])))
-        a, b = d[n] + (d[n + 64] - d[n]) * fx, d[n + 1] + (d[n + 65] - d[n + 1]) * fx
-        c, e = d[n + 8] + (d[n + 72] - d[n + 8]) * fx, d[n + 9] + (d[n + 73] - d[n + 9]) * fx
+        least = min(min(weight[slot, n], weight[slot, n + 1]), min(weight[slot, n + 8], weight[slot, n + 9]))
+        least = min(least, min(weight[slot, n + 64], weight[slot, n + 65]))
+        least = min(least, min(weight[slot, n + 72], weight[slot, n + 73]))
+        a, b, c, e = distance[slot, n], distance[slot, n + 1], distance[slot, n + 8], distance[slot, n + 9]
+        a, b = a + (distance[slot, n + 64] - a) * fx, b + (distance[slot, n + 65] - b) * fx
+        c, e = c + (distance[slot, n + 72] - c) * fx, e + (distance[slot, n + 73] - e) * fx
         a, b = a + (c - a) * fy, b + (e - b) * fy
         return a + (b - a) * fz if least > np.float32(0.0) else np.nan
     total = 0.0
