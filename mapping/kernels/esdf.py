@@ -33,15 +33,18 @@ def read_corners(table: Array, distance: Array, i: Int, j: Int, k: Int, corners:
         corners[4], corners[5] = stored[local + 64], stored[local + 65]
         corners[6], corners[7] = stored[local + 72], stored[local + 73]
         return True
-    bi, bj, bk = i >> 3, j >> 3, k >> 3
-    for corner in range(8):
-        a, b, c = i + (corner >> 2), j + ((corner >> 1) & 1), k + (corner & 1)
-        if a >> 3 != bi or b >> 3 != bj or c >> 3 != bk:
-            bi, bj, bk = a >> 3, b >> 3, c >> 3
-            slot = lookup(table, bi, bj, bk)
+    beyond = (x == 7) << 2 | (y == 7) << 1 | (z == 7)  # the axes along which the next voxel is in the next block
+    for into in range(8):
+        if into & ~beyond:
+            continue
+        if into:
+            slot = lookup(table, (i >> 3) + (into >> 2), (j >> 3) + ((into >> 1) & 1), (k >> 3) + (into & 1))
             if slot < 0:
                 return False
-        corners[corner] = distance[slot, (a & 7) << 6 | (b & 7) << 3 | (c & 7)]
+        for corner in range(8):
+            if corner & beyond == into:
+                a, b, c = (x + (corner >> 2)) & 7, (y + ((corner >> 1) & 1)) & 7, (z + (corner & 1)) & 7
+                corners[corner] = distance[slot, a << 6 | b << 3 | c]
     return True
 
 
@@ -69,7 +72,10 @@ def interpolate_some(
             found = read_corners(table, distance, i, j, k, c)
             x, y, z = x - i, y - j, z - k
         if not found:
-            c[:] = np.nan
+            values[n] = np.nan
+            if gradients.shape[0]:
+                gradients[n, 0] = gradients[n, 1] = gradients[n, 2] = np.nan
+            continue
         # Along z, then y, then x.
         z00, z01, z10, z11 = c[1] - c[0], c[3] - c[2], c[5] - c[4], c[7] - c[6]
         v00, v01, v10, v11 = c[0] + z * z00, c[2] + z * z01, c[4] + z * z10, c[6] + z * z11
