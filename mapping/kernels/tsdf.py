@@ -109,6 +109,13 @@ def find_band(
                     break
 
 
+@njit(cache=True, inline="always")
+def blend(kept: Float, seen: Float, share: Float) -> Any:
+    """A colour channel as it is kept, moved by a share of the way to one that was seen (8 bit)."""
+    old = np.float32(kept)
+    return np.uint16(old + (np.float32(seen) * np.float32(COLOR_STEPS) - old) * share + np.float32(0.5))
+
+
 @njit(cache=True, parallel=True, error_model="numpy")
 def fuse_image(
     distance: Array,
@@ -141,7 +148,7 @@ def fuse_image(
     one = np.float32(1.0)
     tau = np.float32(truncation)
     colored = image.shape[0] > 0
-    width = reach.shape[1]
+    rgb = image.reshape(-1, 3)
     for n in prange(slots.shape[0]):
         slot = slots[n]
         pixels = np.empty(512, np.int32)
@@ -161,14 +168,14 @@ def fuse_image(
         if colored:
             for w in range(512):
                 if abs(s[w]) < tau:
-                    row, column = pixels[w] // width, pixels[w] % width
+                    pixel = np.uint64(pixels[w])
                     share = gains[w] / weight[slot, w]
-                    if color[slot, w, 0] == 0 and color[slot, w, 1] == 0 and color[slot, w, 2] == 0:
+                    red, green, blue = color[slot, w, 0], color[slot, w, 1], color[slot, w, 2]
+                    if (red | green | blue) == 0:
                         share = one  # weight so far, but no colour
-                    for channel in range(3):
-                        old = np.float32(color[slot, w, channel])
-                        new = np.float32(image[row, column, channel]) * np.float32(COLOR_STEPS)
-                        color[slot, w, channel] = np.uint16(old + (new - old) * share + np.float32(0.5))
+                    color[slot, w, 0] = blend(red, rgb[pixel, 0], share)
+                    color[slot, w, 1] = blend(green, rgb[pixel, 1], share)
+                    color[slot, w, 2] = blend(blue, rgb[pixel, 2], share)
 
 
 @njit(cache=True, error_model="numpy")
