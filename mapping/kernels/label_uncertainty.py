@@ -1,0 +1,343 @@
+"""Kernels of uncertain labels: evidence summed by voxel and class, and spread over the voxels where it may belong.
+
+Lengths are in voxels. The mass that a Gaussian along one axis has in each cell is read from a table, by standard
+deviation and by where in its cell the mean lies; in space axis follows axis, each given those before.
+"""
+
+from __future__ import annotations
+
+from math import erf, exp, log2, pi, sqrt
+from typing import Any, TypeAlias
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mapping.kernels.hashing import home, pack
+
+Array: TypeAlias = NDArray[Any]
+Int: TypeAlias = Any
+Float: TypeAlias = Any
+
+REACH = 3.0
+"""Standard deviations at which a Gaussian is cut off; what is left is scaled to one."""
+PHASES = 32
+"""A mean is rounded to the middle of so many parts of its cell."""
+FINEST_SD, STEPS, LEVELS = 0.02, 16, 139
+"""Standard deviations of the table: 0, then FINEST_SD·2^(n/STEPS), n = 0 … LEVELS − 2."""
+LARGEST_SD = FINEST_SD * 2.0 ** ((LEVELS - 2) / STEPS)
+"""Points whose place is less certain than this along some axis [voxels] are not spread."""
+WIDTH = 2 * int(np.ceil(REACH * LARGEST_SD)) + 1
+"""Cells of a row of the table."""
+
+
+@njit(cache=True)
+def _slot_of(table: Array, key: Int, label: Int, fresh: Int) -> Int:
+    """The slot of a packed voxel and a class in a hash (m, 2) of voxel and slot·2¹⁶ + class, −1 in empty rows; where it
+    has none, `fresh` is entered, in place."""
+    size = table.shape[0]
+    row = home(key ^ (np.int64(label) << 21), size)
+    while True:
+        found = table[row, 1]
+        if found < 0:
+            table[row, 0] = key
+            table[row, 1] = np.int64(fresh) << 16 | np.int64(label)
+            return fresh
+        if table[row, 0] == key and found & 0xFFFF == label:
+            return found >> 16
+        row = (row + 1) & (size - 1)
+
+
+@njit(cache=True)
+def bounds_of(points: Array, weights: Array) -> tuple[Array, Array]:
+    """Lowest and highest coordinates (3,) of points (n, 3), zero if there are none; NaN where one of them is not
+    finite or a weight (n,) is not, or below zero."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    fine = True
+    for m in range(points.shape[0]):
+        for d in range(3):
+            x = points[m, d]
+            low[d], high[d] = min(low[d], x), max(high[d], x)
+            fine &= abs(x) < np.inf
+    for m in range(weights.shape[0]):
+        fine &= 0.0 <= weights[m] < np.inf
+    if not fine:
+        low[:] = np.nan
+    elif points.shape[0] == 0:
+        low[:] = high[:] = 0.0
+    return low, high
+
+
+@njit(cache=True)
+def _sum_until_full(
+    table: Array, ijk: Array, label_of: Array, sums: Array, n: Int, points: Array, labels: Array, weights: Array,
+    T: Array, share: Float, first: Int,
+) -> tuple[Int, Int]:  # fmt: skip
+    """Sum the points from `first` on, in place, until all are done or there is no room for one voxel more; returns how
+    many voxels there are and the next point."""
+    last_i = last_j = last_k = np.int64(1) << 40
+    last_label = np.uint16(0)
+    slot = np.int64(0)
+    for m in range(first, points.shape[0]):
+        label = labels[m]
+        w = weights[m] * share if weights.shape[0] else share
+        if label == 0 or w == 0.0:
+            continue
+        a, b, c = points[m, 0], points[m, 1], points[m, 2]
+        x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c + T[0, 3]
+        y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c + T[1, 3]
+        z = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
+        i, j, k = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
+        if i != last_i or j != last_j or k != last_k or label != last_label:
+            if n == ijk.shape[0]:
+                return n, m
+            last_i, last_j, last_k, last_label = i, j, k, label
+            slot = _slot_of(table, pack(i, j, k), label, n)
+            if slot == n:
+                ijk[n, 0], ijk[n, 1], ijk[n, 2], label_of[n] = i, j, k, label
+                sums[n, 0] = sums[n, 1] = sums[n, 2] = sums[n, 3] = 0.0
+                n += 1
+        sums[slot, 0] += w * x
+        sums[slot, 1] += w * y
+        sums[slot, 2] += w * z
+        sums[slot, 3] += w
+    return n, points.shape[0]
+
+
+@njit(cache=True)
+def sum_labels(points: Array, labels: Array, weights: Array, poses: Array) -> tuple[Array, Array, Array]:
+    """Evidence of labelled points, seen from each of some poses, summed by voxel and class.
+
+    points : (n, 3) float64; labels : (n,) uint16, 0 = none; weights : (n,) float64 ≥ 0, or (0,): all 1
+    poses  : (p, 3, 4) float64 takes points to where they are [voxels]; each counts 1/p
+    Returns voxels (m, 3) int64, labels (m,) uint16, and the mean point, weighted by evidence, and the evidence
+    (m, 4) float64 [voxels], in order of first appearance.
+    """
+    room = 1 << 13
+    table = np.full((2 * room, 2), -1, np.int64)
+    ijk, label_of, sums = np.empty((room, 3), np.int64), np.empty(room, np.uint16), np.empty((room, 4))
+    n = 0
+    for p in range(poses.shape[0]):
+        m = 0
+        while True:
+            n, m = _sum_until_full(
+                table, ijk, label_of, sums, n, points, labels, weights, poses[p], 1.0 / poses.shape[0], m
+            )
+            if m == points.shape[0]:
+                break
+            room *= 2
+            ijk = np.concatenate((ijk, np.empty_like(ijk)))
+            label_of = np.concatenate((label_of, np.empty_like(label_of)))
+            sums = np.concatenate((sums, np.empty_like(sums)))
+            table = np.full((2 * room, 2), -1, np.int64)
+            for s in range(n):
+                _slot_of(table, pack(ijk[s, 0], ijk[s, 1], ijk[s, 2]), label_of[s], s)
+    for s in range(n):
+        for d in range(3):
+            sums[s, d] /= sums[s, 3]
+    return ijk[:n].copy(), label_of[:n].copy(), sums[:n].copy()
+
+
+@njit(cache=True)
+def tabulate(mass: Array, offset: Array, within: Array, beside: Array) -> None:
+    """Fill the table of Gaussians cut off at `REACH`, in place.
+
+    mass, offset : (LEVELS, PHASES, WIDTH) float32, the mass in each cell and the mean of what is in it, relative to the
+                   mean of all; that lies in the middle of part q of cell `beside[l]`
+    within       : (LEVELS,) float64, the variance that is left when the cell is known
+    beside       : (LEVELS,) int64, cells to each side of that of the mean that may hold some of the mass
+    """
+    mass[:] = 0.0
+    offset[:] = 0.0
+    within[:] = 0.0
+    beside[:] = 0
+    mass[0, :, 0] = 1.0
+    kept = erf(REACH / sqrt(2.0))
+    variance = 1.0 - 2.0 * REACH * exp(-0.5 * REACH * REACH) / sqrt(2.0 * pi) / kept
+    for l in range(1, LEVELS):
+        sd = FINEST_SD * 2.0 ** ((l - 1) / STEPS)
+        beside[l] = int(np.ceil(REACH * sd))
+        for q in range(PHASES):
+            mean = beside[l] + (q + 0.5) / PHASES
+            between = 0.0
+            for c in range(2 * beside[l] + 1):
+                a = min(max((c - mean) / sd, -REACH), REACH)
+                b = min(max((c + 1 - mean) / sd, -REACH), REACH)
+                if a == b:
+                    continue
+                part = 0.5 * (erf(b / sqrt(2.0)) - erf(a / sqrt(2.0)))
+                at = (exp(-0.5 * a * a) - exp(-0.5 * b * b)) / sqrt(2.0 * pi) / part
+                mass[l, q, c] = part / kept
+                offset[l, q, c] = sd * min(max(at, a), b)
+                between += part / kept * at * at
+            within[l] += sd * sd * max(variance - between, 0.0) / PHASES
+
+
+@njit(cache=True)
+def _level_of(variance: Float) -> Int:
+    """The level of the table whose standard deviation is nearest to the root of `variance`."""
+    squares = variance / (FINEST_SD * FINEST_SD)
+    return 0 if squares < 0.5 else min(max(np.int64(round(0.5 * STEPS * log2(squares))) + 1, 1), LEVELS - 1)
+
+
+@njit(cache=True)
+def measure_spread(
+    sources: Array, centre: Array, twists: Array, order: Array, within: Array, beside: Array,
+    slopes: Array, levels: Array, low: Array, high: Array,
+) -> None:  # fmt: skip
+    """How the place of each source is spread by that of the sensor, in place.
+
+    sources : (s, 3) float64 [voxels], moved to the mean of where they may be (to second order)
+    centre  : (3,) what the sensor's pose turns about [voxels]
+    twists  : (6, 6) float64, columns whose outer products sum to the covariance, in the map's axes: 3 rows of shift
+              [voxels], 3 of rotation [rad]
+    order   : (3,) int64, the axes, outermost first
+    slopes  : (s, 3) float64, filled: how far the second axis moves with the first, the third with first and second
+    levels  : (s, 3) int64, filled: the table's standard deviation of each, given those before; −1 where the place is
+              less certain than the table goes
+    low, high : (s, 3) int64, filled: voxels between which all of the mass lies, in that order of axes
+    """
+    v = np.empty((3, 3))
+    o, m, n = order[0], order[1], order[2]
+    for s in range(sources.shape[0]):
+        qx, qy, qz = sources[s, 0] - centre[0], sources[s, 1] - centre[1], sources[s, 2] - centre[2]
+        v[:] = 0.0
+        for c in range(6):
+            a, b, g = twists[3, c], twists[4, c], twists[5, c]
+            dx, dy, dz = twists[0, c] + b * qz - g * qy, twists[1, c] + g * qx - a * qz, twists[2, c] + a * qy - b * qx
+            v[0, 0] += dx * dx
+            v[1, 1] += dy * dy
+            v[2, 2] += dz * dz
+            v[0, 1] += dx * dy
+            v[0, 2] += dx * dz
+            v[1, 2] += dy * dz
+            sources[s, 0] += 0.5 * (b * dz - g * dy)
+            sources[s, 1] += 0.5 * (g * dx - a * dz)
+            sources[s, 2] += 0.5 * (a * dy - b * dx)
+        v[1, 0], v[2, 0], v[2, 1] = v[0, 1], v[0, 2], v[1, 2]
+        first = _level_of(v[o, o])
+        a10 = v[m, o] / v[o, o] if first > 0 else 0.0
+        a20 = v[n, o] / v[o, o] if first > 0 else 0.0
+        v11 = max(v[m, m] - a10 * v[m, o], 0.0) + a10 * a10 * within[first]
+        v12 = v[m, n] - a10 * v[n, o] + a10 * a20 * within[first]
+        v22 = max(v[n, n] - a20 * v[n, o], 0.0) + a20 * a20 * within[first]
+        second = _level_of(v11)
+        a21 = v12 / v11 if second > 0 else 0.0
+        third = _level_of(max(v22 - a21 * v12, 0.0) + a21 * a21 * within[second])
+        slopes[s, 0], slopes[s, 1], slopes[s, 2] = a10, a20, a21
+        levels[s, 0], levels[s, 1], levels[s, 2] = first, second, third
+        if not max(v[0, 0], v[1, 1], v[2, 2]) <= LARGEST_SD * LARGEST_SD:
+            levels[s, 0] = -1
+            continue
+        far1 = abs(a10) * beside[first]
+        far2 = abs(a20) * beside[first] + abs(a21) * beside[second]
+        low[s, 0] = np.int64(np.floor(sources[s, o])) - beside[first]
+        high[s, 0] = np.int64(np.floor(sources[s, o])) + beside[first]
+        low[s, 1] = np.int64(np.floor(sources[s, m] - far1)) - beside[second]
+        high[s, 1] = np.int64(np.floor(sources[s, m] + far1)) + beside[second]
+        low[s, 2] = np.int64(np.floor(sources[s, n] - far2)) - beside[third]
+        high[s, 2] = np.int64(np.floor(sources[s, n] + far2)) + beside[third]
+
+
+@njit(cache=True, inline="always")
+def _row_of(level: Int, x: Float, cell: Int) -> Int:
+    """Where in the flat table the row of a mean `x` in `cell` begins."""
+    return (level * PHASES + min(np.int64((x - cell) * PHASES), PHASES - 1)) * WIDTH
+
+
+@njit(cache=True)
+def _spread(
+    box: Array, n1: Int, n2: Int, corner: Int, sources: Array, evidence: Array, slopes: Array, levels: Array,
+    order: Array, mass: Array, offset: Array, beside: Array,
+) -> None:  # fmt: skip
+    """Add the evidence of sources to a dense box of voxels, in place. n1, n2: its last two sides, in that order of
+    axes; corner: index in it of voxel (0, 0, 0), which may lie outside."""
+    o, m, n = order[0], order[1], order[2]
+    for s in range(sources.shape[0]):
+        l0, l1, l2 = levels[s, 0], levels[s, 1], levels[s, 2]
+        x0, x1, x2 = sources[s, o], sources[s, m], sources[s, n]
+        a10, a20, a21 = slopes[s, 0], slopes[s, 1], slopes[s, 2]
+        far0, far1, far2 = beside[l0], beside[l1], beside[l2]
+        i0 = np.int64(np.floor(x0))
+        t0 = _row_of(l0, x0, i0)
+        for a in range(t0, t0 + 2 * far0 + 1):
+            wa = evidence[s] * mass[a]
+            if wa == 0.0:
+                continue
+            y1, y2 = x1 + a10 * offset[a], x2 + a20 * offset[a]
+            i1 = np.int64(np.floor(y1))
+            t1 = _row_of(l1, y1, i1)
+            at1 = corner + ((i0 - far0 + a - t0) * n1 + i1 - far1 - t1) * n2 - far2
+            for b in range(t1, t1 + 2 * far1 + 1):
+                w = np.float32(wa * mass[b])
+                if w == 0.0:
+                    continue
+                z2 = y2 + a21 * offset[b]
+                i2 = np.int64(np.floor(z2))
+                t2 = np.uintp(_row_of(l2, z2, i2))  # without a sign, so that the compiler sees a plain run of numbers
+                at2 = np.uintp(at1 + b * n2 + i2)
+                for c in range(np.uintp(2 * far2 + 1)):
+                    box[at2 + c] += w * mass[t2 + c]
+
+
+@njit(cache=True)
+def spread(
+    starts: Array, labels: Array, low: Array, high: Array, sources: Array, evidence: Array, slopes: Array,
+    levels: Array, order: Array, origin: Array, mass: Array, offset: Array, beside: Array,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Evidence of groups of sources where they may be: voxels (m, 3) int64, classes (m,) uint16, evidence (m,) float64.
+
+    starts    : (g + 1,) int64, where in the sources each group begins; labels (g,) uint16, the class of each
+    low, high : (g, 3) int64, voxels between which all of its mass lies, in that order of axes
+    origin    : (3,) int64, added to voxels
+    mass, offset : (LEVELS · PHASES · WIDTH,) float32 as `tabulate` gives them
+    The rest as in `measure_spread`; evidence (s,) float64.
+    """
+    largest = 0
+    for g in range(labels.shape[0]):
+        size = 1
+        for d in range(3):
+            size *= high[g, d] - low[g, d] + 1
+        largest = max(largest, size)
+    box = np.empty(largest, np.float32)
+    ijk, classes, found = np.empty((0, 3), np.int64), np.empty(0, np.uint16), np.empty(0)
+    n = 0
+    for g in range(labels.shape[0]):
+        n0, n1, n2 = high[g, 0] - low[g, 0] + 1, high[g, 1] - low[g, 1] + 1, high[g, 2] - low[g, 2] + 1
+        part = box[: n0 * n1 * n2]
+        part[:] = 0.0
+        corner = -((low[g, 0] * n1 + low[g, 1]) * n2 + low[g, 2])
+        a, b = starts[g], starts[g + 1]
+        _spread(
+            part, n1, n2, corner, sources[a:b], evidence[a:b], slopes[a:b], levels[a:b], order, mass, offset, beside
+        )
+        filled = 0
+        for at in range(part.shape[0]):
+            filled += part[at] > 0.0
+        if n + filled > found.shape[0]:
+            more = max(n + filled, 2 * found.shape[0]) - n
+            ijk = np.concatenate((ijk[:n], np.empty((more, 3), np.int64)))
+            classes = np.concatenate((classes[:n], np.empty(more, np.uint16)))
+            found = np.concatenate((found[:n], np.empty(more)))
+        _list_cells(ijk[n:], found[n:], part, n0, n1, n2, low[g], order, origin)
+        classes[n : n + filled] = labels[g]
+        n += filled
+    return ijk[:n], classes[:n], found[:n]
+
+
+@njit(cache=True)
+def _list_cells(
+    ijk: Array, found: Array, box: Array, n0: Int, n1: Int, n2: Int, low: Array, order: Array, origin: Array
+) -> None:
+    """List the voxels of a box that have evidence, and it, in place."""
+    o, p, q = order[0], order[1], order[2]
+    x0, x1, x2 = low[0] + origin[o], low[1] + origin[p], low[2] + origin[q]
+    n = at = 0
+    for i in range(n0):
+        for j in range(n1):
+            for k in range(n2):
+                if box[at] > 0.0:
+                    ijk[n, o], ijk[n, p], ijk[n, q] = x0 + i, x1 + j, x2 + k
+                    found[n] = box[at]
+                    n += 1
+                at += 1
