@@ -163,8 +163,10 @@ class Changing(RuleBasedStateMachine):
 
     BLOCKS = cube_of_blocks(2)[::3]
 
-    @initialize(truncation=st.sampled_from([0.15, 0.25, 0.8, 2.0]))
-    def begin(self, truncation: float) -> None:
+    @initialize(truncation=st.sampled_from([0.15, 0.25, 0.8, 2.0]), in_parts=st.booleans())
+    def begin(self, truncation: float, in_parts: bool) -> None:
+        self.patch = pytest.MonkeyPatch()
+        self.patch.setattr(mapping.esdf, "_MOST_CELLS", 1 if in_parts else 1 << 22)  # block by block, or all at once
         self.source = OccupancyMap(0.1)
         self.evidence = np.full((len(self.BLOCKS), BLOCK_VOXELS), -128, np.int8)
         self.field = EsdfMap(self.source, truncation)
@@ -209,6 +211,9 @@ class Changing(RuleBasedStateMachine):
         assert np.array_equal(stored, expected, equal_nan=True)
         assert_equal_to_one_made_anew(self.field)
 
+    def teardown(self) -> None:
+        self.patch.undo()
+
     @invariant()
     def look_now_and_then(self) -> None:
         if self.source.revision % 3 == 0:
@@ -216,7 +221,7 @@ class Changing(RuleBasedStateMachine):
 
 
 TestChanging = Changing.TestCase
-TestChanging.settings = settings(max_examples=12, stateful_step_count=10, deadline=None)
+TestChanging.settings = settings(max_examples=10, stateful_step_count=10, deadline=None)
 
 
 @settings(max_examples=8, deadline=None)
