@@ -127,9 +127,10 @@ class IncrementalMesh:
         tsdf = self.tsdf
         slots = tsdf.changed_near(self._revision)
         self._revision = tsdf.revision
-        pieces = np.zeros((tsdf.store.n_blocks, 4), np.int64)
-        pieces[: len(self._pieces)] = self._pieces
-        self._pieces = pieces
+        more = tsdf.store.n_blocks - len(self._pieces)
+        if more:
+            self._pieces = np.concatenate([self._pieces, np.zeros((more, 4), np.int64)])
+        pieces = self._pieces
         with_surface = pieces[slots, 3] > 0
         for first in range(0, len(slots), _CHUNK):
             self._renew(slots[first : first + _CHUNK])

@@ -359,12 +359,16 @@ def blend_colors(table: Array, color: Array, voxel_size: Float, p_map: Array, co
     colors : (n, 3) uint8, filled; 0 where none of the eight has a colour
     """
     per_voxel = 1.0 / voxel_size
+    bound = 8.0 * BLOCK_LIMIT - 2.0
     chunks = (p_map.shape[0] + CHUNK - 1) // CHUNK
     for chunk in prange(chunks):
         last_i, last_j, last_k = np.int64(BLOCK_LIMIT), np.int64(0), np.int64(0)
         slot: Int = np.int64(-1)
         for n in range(chunk * CHUNK, min((chunk + 1) * CHUNK, p_map.shape[0])):
             x, y, z = p_map[n, 0] * per_voxel - 0.5, p_map[n, 1] * per_voxel - 0.5, p_map[n, 2] * per_voxel - 0.5
+            if not (abs(x) < bound and abs(y) < bound and abs(z) < bound):  # also NaN
+                colors[n, 0] = colors[n, 1] = colors[n, 2] = np.uint8(0)
+                continue
             i, j, k = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
             fx, fy, fz = x - i, y - j, z - k
             red = green = blue = total = 0.0

@@ -329,6 +329,17 @@ def test_colour_is_that_of_the_surface():
     assert np.abs(mesh.colors[right].astype(int) - (10, 60, 220)).max() <= 2
 
 
+def test_colours_between_voxels_are_blends_of_those_that_have_one():
+    layer = TsdfMap(0.1, with_color=True)
+    slots = layer.store.allocate(np.array([[0, 0, 0]]))
+    layer.store.fields["color"][slots[0], 0] = 256 * np.array([100, 0, 0])
+    layer.store.fields["color"][slots[0], 64] = 256 * np.array([200, 0, 80])  # the next voxel along x
+    points = np.array([[0.05, 0.05, 0.05], [0.125, 0.05, 0.05], [0.05, 0.05, 0.1], [0.5, 0.5, 0.5], [np.nan, 0.0, 0.0]])
+    expected = [[100, 0, 0], [175, 0, 60], [100, 0, 0], [0, 0, 0], [0, 0, 0]]
+    assert np.abs(layer.colors_at(points).astype(int) - expected).max() <= 1
+    assert not TsdfMap(0.1).colors_at(points).any()
+
+
 def test_weights_stop_at_their_maximum():
     layer = TsdfMap(0.05, weighting="constant", max_weight=5.0)
     for _ in range(8):
