@@ -130,7 +130,7 @@ def spread_labels(
         classes, sources, evidence = classes[pieces], sources[pieces], evidence[pieces]
         slopes, levels, low, high = slopes[pieces], levels[pieces], low[pieces], high[pieces]
     of_pieces = classes[starts]
-    found = kernels.spread(
+    found: tuple[Array, Array, Array] = kernels.spread(
         np.append(starts, len(classes)), of_pieces, np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts),
         sources, evidence, slopes, levels, axes, points.origin, mass, offset, beside,
     )  # fmt: skip

@@ -53,8 +53,12 @@ def rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
 
 def moved(point: np.ndarray, T_map_sensor: SE3, root: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Where a point lies (N, 3) [m] if the pose was T·Exp(root·n), for each row n of `noise` (N, 6)."""
-    p_sensor = T_map_sensor.inverse() @ point
-    return np.array([(T_map_sensor @ SE3.exp(root @ n)) @ p_sensor for n in noise])
+    p_sensor = np.broadcast_to(T_map_sensor.inverse() @ point, (len(noise), 3))
+    shift, turn = np.split(noise @ root.T, 2, axis=1)
+    angle = np.linalg.norm(turn, axis=1, keepdims=True)
+    a, b, c = np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    turned = p_sensor + a * np.cross(turn, p_sensor) + b * np.cross(turn, np.cross(turn, p_sensor))
+    return T_map_sensor @ (turned + shift + b * np.cross(turn, shift) + c * np.cross(turn, np.cross(turn, shift)))
 
 
 def mass_between(low: float, high: float, mean: float, sd: float, cut: float) -> float:

@@ -1,0 +1,259 @@
+"""What it costs to be somewhere, given what is there: a user's table of classes becomes a cost in space and on a grid.
+
+The idea is ViPlanner's (Roth et al. 2024): each class has a cost of driving over or into it, and a planner weighs it
+with the geometry. Unknown is NaN and never free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapping.errors import InvalidParameter
+from mapping.grid import BLOCK_EDGE, BlockStore, as_points
+from mapping.layer import Changed, require
+from mapping.observations import LabelSpace
+from mapping.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyMap
+from mapping.tiles import as_columns
+
+__all__ = ["CostGrid", "CostMap", "CostTable", "semantic_cost"]
+
+Array: TypeAlias = NDArray[Any]
+Rule: TypeAlias = Literal["max", "mean"]
+
+CHUNK = 256
+"""Tiles that are looked at together."""
+
+
+class LabelLayer(Protocol):
+    """What knows the class at a point and says where it changed, such as `SemanticMap`."""
+
+    revision: int
+
+    @property
+    def voxel_size_m(self) -> float: ...
+    def query(self, p_map: ArrayLike) -> tuple[Array, Array]: ...
+    def changed_since(self, revision: int) -> Changed: ...
+
+
+class CostTable:
+    """The cost of each class.
+
+    costs     class id 1 … 65535, or name in `classes` → cost ≥ 0; ∞: never go there
+    default   the cost of classes that are not in the table and of surfaces without a label
+    free      the cost of free space
+    classes   what the names mean; a name that several classes have counts for all of them
+
+    Raises `InvalidParameter`.
+    """
+
+    def __init__(
+        self,
+        costs: Mapping[int | str, float],
+        *,
+        default: float,
+        free: float = 0.0,
+        classes: LabelSpace | None = None,
+    ) -> None:
+        self.default, self.free = _cost("default", default), _cost("free", free)
+        self._of = np.full(1 << 16, self.default)
+        self.costs: dict[int, float] = {}
+        for key, value in costs.items():
+            for label in _ids(key, classes):
+                if label in self.costs:
+                    raise InvalidParameter(f"costs: expected each class once, got {key!r} again (class {label})")
+                self.costs[label] = self._of[label] = _cost(f"costs[{key!r}]", value)
+
+    def of(self, labels: ArrayLike) -> NDArray[np.float64]:
+        """The cost (N,) of class ids (N,); 0 is no label."""
+        return np.asarray(self._of[np.asarray(labels)])
+
+
+def semantic_cost(
+    p_map: ArrayLike, labels: LabelLayer, table: CostTable, occupancy: OccupancyMap | None = None
+) -> NDArray[np.float64]:
+    """The cost (N,) of the voxel at each point (N, 3) [m]; NaN where unknown.
+
+    Free space, of which only `occupancy` knows, costs `table.free`, whatever was once seen there. What is occupied or
+    has a label costs what its class does; an occupied voxel without a label costs `table.default`.
+    """
+    return _look(p_map, labels, table, occupancy)[0]
+
+
+def _look(
+    p_map: ArrayLike, labels: LabelLayer, table: CostTable, occupancy: OccupancyMap | None
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The cost (N,) at points, NaN where unknown, and whether there is a surface (N,)."""
+    points = as_points(p_map)
+    classes = np.full(len(points), UNKNOWN, np.int8) if occupancy is None else occupancy.classify(points)
+    cost = np.where(classes == FREE, table.free, np.nan)
+    solid = classes == OCCUPIED
+    not_free = np.flatnonzero(classes != FREE)
+    names, _ = labels.query(points[not_free])
+    solid[not_free[names != 0]] = True
+    cost[not_free] = np.where(solid[not_free], table.of(names), np.nan)
+    return cost, solid
+
+
+@dataclass(frozen=True, eq=False)
+class CostGrid:
+    """Costs (nx, ny) of square cells; NaN where unknown. corner_m (2,): where the first cell begins [m]."""
+
+    corner_m: NDArray[np.float64]
+    cell_size_m: float
+    cost: NDArray[np.float64]
+
+    def query(self, p_map: ArrayLike) -> NDArray[np.float64]:
+        """The cost (N,) at each point (N, 2) or (N, 3) [m]; NaN outside."""
+        cells = np.floor((as_columns(p_map) - self.corner_m) / self.cell_size_m)
+        inside = ((cells >= 0) & (cells < self.cost.shape)).all(axis=1)
+        found = np.full(len(cells), np.nan)
+        i, j = cells[inside].astype(np.int64).T
+        found[inside] = self.cost[i, j]
+        return found
+
+    def inflated(self, radius_m: float) -> CostGrid:
+        """The same with costs that reach out: each cell costs the most that any cell at a distance d ≤ radius costs,
+        times 1 − d/radius. An infinite cost is infinite all the way; unknown cells stay unknown and add nothing."""
+        reach = require("radius_m", radius_m, 0.0, 100.0, "m") / self.cell_size_m
+        nx, ny = self.cost.shape
+        sources = np.where(np.isnan(self.cost), 0.0, self.cost)
+        grown = sources.copy()
+        steps = int(reach)
+        for di in range(-min(steps, nx - 1), min(steps, nx - 1) + 1):
+            for dj in range(-min(steps, ny - 1), min(steps, ny - 1) + 1):
+                share = 1.0 - np.hypot(di, dj) / reach
+                if share <= 1e-9 or di == dj == 0:
+                    continue
+                to = np.s_[max(di, 0) : nx + min(di, 0), max(dj, 0) : ny + min(dj, 0)]
+                at = np.s_[max(-di, 0) : nx + min(-di, 0), max(-dj, 0) : ny + min(-dj, 0)]
+                np.maximum(grown[to], share * sources[at], out=grown[to])
+        return CostGrid(self.corner_m, self.cell_size_m, np.where(np.isnan(self.cost), np.nan, grown))
+
+
+class CostMap:
+    """Costs on a grid of columns, kept up to date with the layers that they come from.
+
+    labels       what knows classes, such as a `SemanticMap`
+    table        what they cost
+    band_m       heights (low, high) [m] that matter: voxels whose centres lie between count
+    rule         what surfaces of one column cost together: the most, or the mean
+    occupancy    what knows free space; without it only labelled columns are known
+    known_share  share of a column's voxels that must be known for it to be free when no surface is in it
+
+    Columns are as wide as the voxels of `occupancy`, without it as those of `labels`. `update` computes anew what has
+    changed since it was last called. Raises `InvalidParameter`.
+    """
+
+    def __init__(
+        self,
+        labels: LabelLayer,
+        table: CostTable,
+        *,
+        band_m: tuple[float, float],
+        rule: Rule = "max",
+        occupancy: OccupancyMap | None = None,
+        known_share: float = 0.5,
+    ) -> None:
+        if rule not in get_args(Rule):
+            raise InvalidParameter(f'rule: expected "max" or "mean", got {rule!r}')
+        self.known_share = require("known_share", known_share, 0.0, 1.0)
+        self.labels, self.table, self.occupancy, self.rule = labels, table, occupancy, rule
+        self.cell_size_m = labels.voxel_size_m if occupancy is None else occupancy.voxel_size_m
+        low, high = (float(z) for z in band_m)
+        first, last = np.ceil(low / self.cell_size_m - 0.5), np.floor(high / self.cell_size_m - 0.5)
+        if not (np.isfinite(low) and np.isfinite(high) and first <= last):
+            raise InvalidParameter(f"band_m: expected two heights with a voxel between them, got {band_m}")
+        self._band = low, high
+        self._heights: Array = (np.arange(first, last + 1) + 0.5) * self.cell_size_m
+        self._store = BlockStore({"cost": "f8"}, self.cell_size_m, fill={"cost": np.nan}, axes=2)
+        self._seen = [0, 0]
+
+    def update(self) -> Changed:
+        """Look again at what changed; the tiles (K, 3) of 8² columns that were computed anew, with index (i, j, 0)."""
+        layers: list[LabelLayer | OccupancyMap] = [self.labels]
+        if self.occupancy is not None:
+            layers.append(self.occupancy)
+        tiles = [self._tiles(layer.changed_since(seen)) for layer, seen in zip(layers, self._seen, strict=False)]
+        self._seen = [layer.revision for layer in layers]
+        changed = np.unique(np.concatenate(tiles), axis=0).astype(np.int32)
+        for chunk in np.array_split(changed, max(1, len(changed) // CHUNK)):
+            slots = self._store.allocate(chunk)
+            self._store.fields["cost"][slots] = self._columns(chunk)
+        return Changed(changed, self._store.block_size_m)
+
+    def query(self, p_map: ArrayLike) -> NDArray[np.float64]:
+        """The cost (N,) of the column at each point (N, 2) or (N, 3) [m], as of the last update; NaN where unknown."""
+        cells = np.floor(as_columns(p_map) / self.cell_size_m).astype(np.int64)
+        slots = self._store.find(np.c_[cells >> 3, np.zeros(len(cells), np.int64)])
+        found = np.full(len(cells), np.nan)
+        known = slots >= 0
+        found[known] = self._store.fields["cost"][slots[known], (cells[known] & 7) @ (BLOCK_EDGE, 1)]
+        return found
+
+    def grid(self) -> CostGrid:
+        """All columns as of the last update, dense."""
+        tiles = self._store.block_ijk[:, :2]
+        if not len(tiles):
+            return CostGrid(np.zeros(2), self.cell_size_m, np.empty((0, 0)))
+        first = tiles.min(axis=0)
+        across, along = tiles.max(axis=0) - first + 1
+        dense = np.full((across, along, BLOCK_EDGE, BLOCK_EDGE), np.nan)
+        i, j = (tiles - first).T
+        dense[i, j] = self._store.used("cost").reshape(-1, BLOCK_EDGE, BLOCK_EDGE)
+        cost = dense.transpose(0, 2, 1, 3).reshape(across * BLOCK_EDGE, along * BLOCK_EDGE)
+        return CostGrid(first * self._store.block_size_m, self.cell_size_m, cost)
+
+    def _tiles(self, changed: Changed) -> NDArray[np.int64]:
+        """The tiles (K, 3) above and below which blocks within the band changed."""
+        edge, tile = changed.block_size_m, self._store.block_size_m
+        bottom = changed.blocks[:, 2] * edge
+        blocks = changed.blocks[(bottom <= self._band[1]) & (bottom + edge >= self._band[0]), :2]
+        low = np.floor(blocks * (edge / tile) + 1e-6).astype(np.int64)
+        high = np.ceil((blocks + 1) * (edge / tile) - 1e-6).astype(np.int64)
+        most = int((high - low).max(initial=1))
+        tiles = (low[:, None] + np.indices((most, most)).reshape(2, -1).T).reshape(-1, 2)
+        tiles = tiles[(tiles < np.repeat(high, most**2, axis=0)).all(axis=1)]
+        return np.unique(np.c_[tiles, np.zeros(len(tiles), np.int64)], axis=0)
+
+    def _columns(self, tiles: Array) -> NDArray[np.float64]:
+        """The cost (K, 64) of the columns of tiles (K, 3)."""
+        i, j = np.indices((BLOCK_EDGE, BLOCK_EDGE)).reshape(2, -1)
+        centres = (tiles[:, None, :2] * BLOCK_EDGE + np.stack([i, j], axis=1) + 0.5) * self.cell_size_m
+        shape = (*centres.shape[:2], len(self._heights))
+        points = np.empty((*shape, 3))
+        points[..., :2], points[..., 2] = centres[:, :, None], self._heights
+        points = points.reshape(-1, 3)
+        cost, solid = (a.reshape(shape) for a in _look(points, self.labels, self.table, self.occupancy))
+        n = solid.sum(axis=2)
+        if self.rule == "max":
+            together = np.where(solid, cost, 0.0).max(axis=2)
+        else:
+            together = np.where(solid, cost, 0.0).sum(axis=2) / np.maximum(n, 1)
+        empty = np.where((~np.isnan(cost)).mean(axis=2) >= self.known_share, self.table.free, np.nan)
+        return np.where(n > 0, together, empty)
+
+
+def _cost(name: str, value: float) -> float:
+    number = float(value) if isinstance(value, int | float | np.number) and not isinstance(value, bool) else np.nan
+    if not number >= 0.0:
+        raise InvalidParameter(f"{name}: expected a cost ≥ 0, got {value!r}")
+    return number
+
+
+def _ids(key: int | str, classes: LabelSpace | None) -> list[int]:
+    """The classes that a key of the table names."""
+    if isinstance(key, str):
+        if classes is None:
+            raise InvalidParameter(f"costs: expected class ids where no classes are given, got the name {key!r}")
+        ids = [label for label, info in classes.classes.items() if info.name == key]
+        if not ids:
+            raise InvalidParameter(f"costs: expected the name of a class, got {key!r}")
+        return ids
+    if isinstance(key, bool) or not isinstance(key, int | np.integer) or not 1 <= key < 1 << 16:
+        raise InvalidParameter(f"costs: expected class ids 1 … 65535 or names, got {key!r}")
+    return [int(key)]
