@@ -1,0 +1,372 @@
+"""From the pixels of a mask to the voxels of one object: components of voxels, and the rim of the mask.
+
+Windows are parts (h, w) of images. A *camera* is (4,) float64: fx, fy, and cx, cy within the window. The noise of depth
+is σ(z) = noise[0] + noise[1] · (z − 0.4)² [m] (Nguyen et al., Modeling Kinect sensor noise, 2012).
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mapping.kernels.hashing import BLOCK_LIMIT, home, pack
+
+Array: TypeAlias = NDArray[Any]
+Int: TypeAlias = Any
+Float: TypeAlias = Any
+
+
+@njit(cache=True)
+def measure_inside(mask: Array, most: Int, inside: Array) -> None:
+    """How far each pixel lies inside a mask (h, w) bool, in place: steps to the nearest pixel outside it, `most` at
+    most; 0 outside. What lies beyond the window counts as inside.
+
+    inside : (h, w) uint8 [px], city-block; two raster sweeps (Rosenfeld & Pfaltz, Sequential operations, 1966)
+    """
+    height, width = mask.shape
+    for v in range(height):
+        left: Int = most
+        for u in range(width):
+            above: Int = most if v == 0 else inside[v - 1, u]
+            left = min(most, min(left, above) + 1) if mask[v, u] else 0
+            inside[v, u] = left
+    for v in range(height - 1, -1, -1):
+        right: Int = most
+        for u in range(width - 1, -1, -1):
+            below: Int = most if v == height - 1 else inside[v + 1, u]
+            right = min(np.int64(inside[v, u]), min(right, below) + 1)
+            inside[v, u] = right
+
+
+@njit(cache=True, inline="always")
+def _lies_on(planes: Array, x: Float, y: Float, z: Float, slack: Float, noise: Array) -> bool:
+    """Whether a point in the optical frame is nearer than slack + 2 σ(z) to one of the planes (P, 14)."""
+    near = False
+    if planes.shape[0]:
+        reach = slack + 2.0 * (noise[0] + noise[1] * (z - 0.4) ** 2)
+        for p in range(planes.shape[0]):
+            if abs(planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z - planes[p, 3]) <= reach:
+                a = planes[p, 4] * x + planes[p, 5] * y + planes[p, 6] * z - planes[p, 7]
+                b = planes[p, 8] * x + planes[p, 9] * y + planes[p, 10] * z - planes[p, 11]
+                near |= abs(a) <= planes[p, 12] + reach and abs(b) <= planes[p, 13] + reach
+    return near
+
+
+@njit(cache=True)
+def find_on_planes(
+    depth: Array, inside: Array, camera: Array, planes: Array, slack: Float, noise: Array, on: Array
+) -> None:
+    """Which masked pixels lie on a plane, in place.
+
+    planes : (P, 14) float64 in the optical frame: unit normal and offset [m], two axes along the plane each with its
+             offset, and how far the plane reaches to both sides along each; slack [m] is added to the noise about them
+    on     : (h, w) bool
+    """
+    per_x, per_y, cx, cy = 1.0 / camera[0], 1.0 / camera[1], camera[2], camera[3]
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            z = np.float64(depth[v, u])
+            x, y = (u - cx) * per_x * z, (v - cy) * per_y * z
+            on[v, u] = inside[v, u] > 0 and 0.0 < z < np.inf and _lies_on(planes, x, y, z, slack, noise)
+
+
+@njit(cache=True)
+def bin_pixels(
+    depth: Array, inside: Array, camera: Array, pose: Array, per_voxel: Float, row_at: Array
+) -> tuple[Array, Int]:
+    """The voxels in which masked pixels lie: packed keys (K,) in order of appearance, and how many pixels have none
+    because they lie too far away.
+
+    depth, inside : (h, w) float32 [m], and uint8 as `measure_inside` gives it
+    pose          : (12,) R_map_camera row by row, then t_map_camera;  per_voxel : 1 / voxel size [1/m]
+    row_at        : (h, w) int32, in place: row of each pixel's voxel in what is returned, −1 where there is none
+    """
+    height, width = depth.shape
+    per_x, per_y, cx, cy = 1.0 / camera[0], 1.0 / camera[1], camera[2], camera[3]
+    keys = np.empty(4096, np.int64)
+    table = np.full(2 * len(keys), -1, np.int32)
+    count, lost = 0, 0
+    limit = np.float64(BLOCK_LIMIT - 1)
+    last_key, last = np.int64(-1), np.int32(-1)
+    for v in range(height):
+        for u in range(width):
+            row_at[v, u] = -1
+            z = np.float64(depth[v, u])
+            if inside[v, u] == 0 or not 0.0 < z < np.inf:
+                continue
+            x, y = (u - cx) * per_x * z, (v - cy) * per_y * z
+            i = np.floor((pose[0] * x + pose[1] * y + pose[2] * z + pose[9]) * per_voxel)
+            j = np.floor((pose[3] * x + pose[4] * y + pose[5] * z + pose[10]) * per_voxel)
+            k = np.floor((pose[6] * x + pose[7] * y + pose[8] * z + pose[11]) * per_voxel)
+            if not (-limit <= i < limit and -limit <= j < limit and -limit <= k < limit):
+                lost += 1
+                continue
+            key = pack(np.int64(i), np.int64(j), np.int64(k))
+            if key != last_key:
+                last_key = key
+                at = home(key, len(table))
+                while table[at] >= 0 and keys[table[at]] != key:
+                    at = (at + 1) & (len(table) - 1)
+                if table[at] < 0:
+                    table[at] = count
+                    keys[count] = key
+                    count += 1
+                last = table[at]
+                if count == len(keys):
+                    keys = np.concatenate((keys, np.empty_like(keys), np.empty_like(keys), np.empty_like(keys)))
+                    table = np.full(2 * len(keys), -1, np.int32)
+                    for m in range(count):
+                        at = home(keys[m], len(table))
+                        while table[at] >= 0:
+                            at = (at + 1) & (len(table) - 1)
+                        table[at] = m
+            row_at[v, u] = last
+    return keys[:count].copy(), lost
+
+
+@njit(cache=True)
+def _root(parent: Array, n: Int) -> Int:
+    while parent[n] != n:
+        parent[n] = parent[parent[n]]
+        n = parent[n]
+    return n
+
+
+@njit(cache=True)
+def _join(parent: Array, a: Int, b: Int) -> None:
+    a, b = _root(parent, a), _root(parent, b)
+    if a < b:
+        parent[b] = a
+    else:
+        parent[a] = b
+
+
+@njit(cache=True)
+def mark_flat(on: Array, inside: Array, most: Int, row_at: Array, flat: Array) -> None:
+    """Which voxels (K,) bool hold pixels of a plane in the rim of the mask and no others, in place; at first all True.
+
+    on, inside, row_at : (h, w) bool, uint8, int32
+    """
+    for v in range(on.shape[0]):
+        for u in range(on.shape[1]):
+            if row_at[v, u] >= 0 and not (on[v, u] and inside[v, u] < most):
+                flat[row_at[v, u]] = False
+
+
+@njit(cache=True)
+def join_voxels(keys: Array, flat: Array, parent: Array) -> None:
+    """Join each voxel to those of its 26 neighbours that are, like it, flat or not, in place.
+
+    keys   : (K,) int64, packed indices (`hashing.pack`), ascending, each once
+    flat   : (K,) bool
+    parent : (K,) int32, a forest of rows, at first 0 … K − 1: union-find with path halving (Tarjan & van Leeuwen 1984);
+             the root of a component is its lowest voxel
+
+    Half of the neighbours are asked for; they lie in the four rows of voxels ahead and at the next place in their own.
+    In each row ahead a finger moves on as the voxels do, so that all is one pass.
+    """
+    count = len(keys)
+    for row in range(4):
+        ahead = np.int64(1 << 21) if row == 0 else np.int64((1 << 42) + ((row - 2) << 21))
+        finger = 0
+        for n in range(count):
+            lowest = keys[n] + ahead - 1
+            while finger < count and keys[finger] < lowest:
+                finger += 1
+            m = finger
+            while m < count and keys[m] <= lowest + 2:
+                if flat[m] == flat[n]:
+                    _join(parent, n, m)
+                m += 1
+    for n in range(count - 1):
+        if keys[n + 1] == keys[n] + 1 and flat[n] == flat[n + 1]:
+            _join(parent, n, n + 1)
+
+
+@njit(cache=True)
+def _step_at(z: Float, step: Float, noise: Array) -> Float:
+    """How far the depths of two neighbours on one surface may differ at depth z [m]: `step`, or three σ of depth."""
+    return max(step, noise[2] * (noise[0] + noise[1] * (z - 0.4) ** 2))
+
+
+@njit(cache=True)
+def join_pixels(depth: Array, row_at: Array, flat: Array, step: Float, noise: Array, parent: Array) -> None:
+    """Join the voxels of neighbouring pixels whose depths differ by no more than `step` [m] or noise, in place.
+
+    row_at : (h, w) int32, the voxel of each pixel, −1 where there is none;  flat, parent : as in `join_voxels`
+    """
+    height, width = depth.shape
+    for v in range(height):
+        for u in range(width):
+            row = row_at[v, u]
+            if row < 0:
+                continue
+            z = depth[v, u]
+            for n in range(2):
+                a, b = (v, u - 1) if n == 0 else (v - 1, u)
+                if a < 0 or b < 0 or row_at[a, b] < 0 or row_at[a, b] == row:
+                    continue
+                other = row_at[a, b]
+                if (
+                    flat[row] == flat[other]
+                    and parent[row] != parent[other]
+                    and abs(depth[a, b] - z) <= _step_at(z, step, noise)
+                ):
+                    _join(parent, row, other)
+
+
+@njit(cache=True)
+def find_roots(parent: Array) -> None:
+    """Name the root of each row of a forest (K,) int32, in place."""
+    for row in range(len(parent)):
+        parent[row] = _root(parent, row)
+
+
+@njit(cache=True)
+def _is_seed(inside: Array, v: Int, u: Int, most: Int) -> bool:
+    """Whether a pixel lies `most` deep inside its mask, or as deep as all that surround it (a thin part's middle)."""
+    own = inside[v, u]
+    if own >= most:
+        return True
+    for a in range(max(v - 1, 0), min(v + 2, inside.shape[0])):
+        for b in range(max(u - 1, 0), min(u + 2, inside.shape[1])):
+            if inside[a, b] > own:
+                return False
+    return own > 0
+
+
+@njit(cache=True)
+def weigh_parts(
+    depth: Array, inside: Array, most: Int, deepest: Int, row_at: Array, parent: Array, sums: Array
+) -> None:
+    """Sum up each component, in place: its seeds, which are pixels that bleeding by less than `most` cannot explain.
+
+    sums : (K, 4) float64 of zeros, at the component's root: of its seeds Σ w, Σ w · z and Σ w · z², w being inside²,
+           but at most most²; and how many pixels it has less than `deepest` inside the mask
+    """
+    height, width = inside.shape
+    for v in range(height):
+        for u in range(width):
+            if row_at[v, u] < 0:
+                continue
+            root, z = parent[row_at[v, u]], np.float64(depth[v, u])
+            if inside[v, u] < deepest:
+                sums[root, 3] += 1.0
+            if _is_seed(inside, v, u, most):
+                weight = np.float64(min(inside[v, u], most)) ** 2
+                sums[root, 0] += weight
+                sums[root, 1] += weight * z
+                sums[root, 2] += weight * z * z
+
+
+@njit(cache=True)
+def grow_rim(
+    depth: Array,
+    inside: Array,
+    most: Int,
+    deepest: Int,
+    row_at: Array,
+    chosen: Array,
+    on: Array,
+    step: Float,
+    noise: Array,
+    front: Array,
+) -> Int:
+    """Which pixels are the object's: those deep in the mask of its components, and what goes on from them outwards.
+
+    chosen  : (K,) bool, voxels of the object's components
+    on      : (h, w) bool, pixels that lie on a plane, and deepest ≥ most: how deep inside they count as any others
+    front   : (h, w) float32 of zeros, in place: the depth [m] of a pixel that is the object's, minus the depth that the
+              object has there where nothing was measured; 0 elsewhere
+
+    Where the mask is `most` deep, all pixels of chosen voxels are the object's, but for those on a plane. From there
+    outwards a pixel is when it measured the mean depth of its neighbours that lie deeper inside the mask and are the
+    object's, but for `step` [m] or noise; on a plane these have to lie on one, too. As the way leads outwards only, it
+    cannot run along the rim to a background that the object stands on elsewhere. Returns how many are the object's.
+    """
+    height, width = inside.shape
+    first = np.zeros(deepest + 2, np.int64)
+    count: Int = 0
+    for v in range(height):
+        for u in range(width):
+            row = row_at[v, u]
+            if inside[v, u] < most or (on[v, u] and inside[v, u] < deepest):
+                first[inside[v, u] + 1] += 1
+            elif row >= 0 and chosen[row]:
+                front[v, u] = depth[v, u]
+                count += 1
+    for level in range(1, deepest + 1):
+        first[level] += first[level - 1]
+    order = np.empty(first[deepest], np.int32)
+    place = first.copy()
+    for v in range(height):
+        for u in range(width):
+            level = inside[v, u]
+            if level < most or (on[v, u] and level < deepest):
+                order[place[level]] = v * width + u
+                place[level] += 1
+    for level in range(deepest - 1, 0, -1):
+        for n in range(first[level], first[level + 1]):
+            v, u = order[n] // width, order[n] % width
+            row, z = row_at[v, u], depth[v, u]
+            measured = 0.0 < z < np.inf
+            deeper, ways, before = False, 0, np.float32(0.0)
+            found = np.float32(0.0)
+            for a in range(max(v - 1, 0), min(v + 2, height)):
+                for b in range(max(u - 1, 0), min(u + 2, width)):
+                    if inside[a, b] <= level:
+                        continue
+                    deeper = True
+                    if front[a, b] != 0.0 and (on[a, b] or not on[v, u]):
+                        before += abs(front[a, b])
+                        ways += 1
+            if ways and not measured:
+                found = -before / ways
+            elif row >= 0:
+                goes_on = ways > 0 and abs(before / max(ways, 1) - z) <= _step_at(z, step, noise)
+                if goes_on or (chosen[row] and not deeper):
+                    found = z
+            front[v, u] = found
+            count += found > 0.0
+    return count
+
+
+@njit(cache=True)
+def gather(
+    front: Array,
+    inside: Array,
+    most: Int,
+    row_at: Array,
+    camera: Array,
+    pose: Array,
+    points: Array,
+    voxel_of: Array,
+    counts: Array,
+    votes: Array,
+) -> None:
+    """What the object's pixels are in space, in place.
+
+    front    : (h, w) as `grow_rim` gives it
+    points   : (n, 3) float32 [m] in the frame of the pose, row by row of the window;  voxel_of : (n,) int32
+    counts   : (K,) int64 of zeros, points of each voxel
+    votes    : (K,) float32 of zeros: the sum over them of their depth inside the mask, 1 where no bleeding reaches
+    """
+    per_x, per_y, cx, cy = 1.0 / camera[0], 1.0 / camera[1], camera[2], camera[3]
+    share = np.float32(1.0 / max(most - 1, 1))
+    n = 0
+    for v in range(front.shape[0]):
+        for u in range(front.shape[1]):
+            z = np.float64(front[v, u])
+            if z <= 0.0:
+                continue
+            x, y, row = (u - cx) * per_x * z, (v - cy) * per_y * z, row_at[v, u]
+            points[n, 0] = pose[0] * x + pose[1] * y + pose[2] * z + pose[9]
+            points[n, 1] = pose[3] * x + pose[4] * y + pose[5] * z + pose[10]
+            points[n, 2] = pose[6] * x + pose[7] * y + pose[8] * z + pose[11]
+            voxel_of[n] = row
+            counts[row] += 1
+            votes[row] += min(np.float32(inside[v, u]) * share, np.float32(1.0))
+            n += 1
