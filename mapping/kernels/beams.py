@@ -68,7 +68,7 @@ def place_beams(
     for axis in range(3):
         box[0, axis] = lows[:, axis].min()
         box[1, axis] = highs[:, axis].max()
-    return finite.all()
+    return bool(finite.all())
 
 
 @njit(cache=True)

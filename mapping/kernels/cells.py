@@ -333,7 +333,7 @@ def fill_cells(
 @njit(cache=True)
 def distinct(ijk: Array, level: Array, table: Array) -> bool:
     """Enter all rows into an empty `table`, in place; False when a block is named twice, or lies in a coarser cell."""
-    top = 0
+    top: Int = np.int64(0)
     for row in range(ijk.shape[0]):
         top = max(top, np.int64(level[row]))
         key = pack(np.int64(level[row]), ijk[row, 0], ijk[row, 1], ijk[row, 2])
