@@ -36,14 +36,14 @@ class LabelEvidence:
     """Evidence for classes by voxel, each pair of a voxel and a class once.
 
     voxel_size_m  edge of a voxel [m]
-    ijk           (M, 3) int64 voxels
+    ijk           (M, 3) int32 voxels
     labels        (M,) uint16 class ids
     evidence      (M,) float64 > 0
     left_out      evidence of points whose place is too uncertain to be spread
     """
 
     voxel_size_m: float
-    ijk: NDArray[np.int64]
+    ijk: NDArray[np.int32]
     labels: NDArray[np.uint16]
     evidence: NDArray[np.float64]
     left_out: float = 0.0
@@ -55,14 +55,14 @@ class LabelEvidence:
     def none(voxel_size_m: float) -> LabelEvidence:
         """No evidence at all: what a map begins with."""
         edge = require("voxel_size_m", voxel_size_m, 0.0, 1e3, "m")
-        return LabelEvidence(edge, np.empty((0, 3), np.int64), np.empty(0, np.uint16), np.empty(0))
+        return LabelEvidence(edge, np.empty((0, 3), np.int32), np.empty(0, np.uint16), np.empty(0))
 
     @property
     def centres(self) -> NDArray[np.float64]:
         """(M, 3) [m] the middle of each voxel, as layers of votes take points."""
         return ijk_to_centre(self.ijk, self.voxel_size_m)
 
-    def leaders(self) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.float64]]:
+    def leaders(self) -> tuple[NDArray[np.int32], NDArray[np.uint16], NDArray[np.float64]]:
         """The voxels (V, 3), sorted, the class with most evidence in each (V,), of equals the lowest, and its share of
         the voxel's evidence (V,)."""
         voxels, of = np.unique(self.ijk, axis=0, return_inverse=True)
@@ -111,19 +111,19 @@ def spread_labels(
     pose, sigma = as_pose(T_map_sensor, "T_map_sensor"), _as_covariance(covariance)
     points = _Points(p_map, labels, weights, voxel_size_m)
     ijk, classes, sums = points.summed()
-    by_class = np.argsort(classes, kind="stable")
-    cells, classes, evidence = ijk[by_class], classes[by_class], sums[by_class, 3].copy()
-    sources = np.ascontiguousarray(sums[by_class, :3])
     centre = pose.translation / points.voxel_size_m - points.origin
     twists = _twists(pose, sigma, points.voxel_size_m)
+    merged = kernels.merge_sources(ijk, classes, sums, centre, twists)
+    by_class = np.argsort(merged[0], kind="stable")
+    classes, sources, evidence, around = (part[by_class] for part in merged)
     axes = _axes_by_spread(sources, centre, twists)
     mass, offset, within, beside = _table()
     slopes = np.empty((len(classes), 3))
     levels, low, high = (np.empty((len(classes), 3), np.int64) for _ in range(3))
-    kernels.measure_spread(sources, centre, twists, axes, within, beside, slopes, levels, low, high)
+    kernels.measure_spread(sources, around, centre, twists, axes, within, beside, slopes, levels, low, high)
     certain = levels[:, 0] >= 0
     left_out = 0.0 if certain.all() else float(evidence[~certain].sum())
-    pieces, starts = _pieces(cells, classes, certain)
+    pieces, starts = _pieces(sources, classes, certain)
     if not len(starts):
         return LabelEvidence(points.voxel_size_m, *_nothing(), left_out)
     if pieces is not None:
@@ -254,7 +254,7 @@ class _Points:
             raise InvalidParameter("p_map, weights: expected finite coordinates and finite weights ≥ 0")
         if (high - low).max() > hashing.BLOCK_LIMIT * self.voxel_size_m:
             raise InvalidParameter(f"p_map: expected points within {hashing.BLOCK_LIMIT} voxels of each other")
-        self.origin: NDArray[np.int64] = np.floor(0.5 * (low + high) / self.voxel_size_m).astype(np.int64)
+        self.origin: NDArray[np.int32] = np.floor(0.5 * (low + high) / self.voxel_size_m).astype(np.int32)
         """(3,) the voxel relative to which indices are counted."""
 
     def summed(self, moves: Array | None = None) -> tuple[Array, Array, Array]:
@@ -277,7 +277,7 @@ def _summed(ijk: Array, labels: Array, evidence: Array) -> tuple[Array, Array, A
 
 
 def _nothing() -> tuple[Array, Array, Array]:
-    return np.empty((0, 3), np.int64), np.empty(0, np.uint16), np.empty(0)
+    return np.empty((0, 3), np.int32), np.empty(0, np.uint16), np.empty(0)
 
 
 def _as_covariance(covariance: ArrayLike) -> NDArray[np.float64]:
@@ -305,19 +305,20 @@ def _axes_by_spread(sources: Array, centre: Array, twists: Array) -> NDArray[np.
     return np.argsort((moved**2).sum(axis=(0, 2)), kind="stable")
 
 
-def _pieces(cells: Array, classes: Array, certain: Array) -> tuple[Array | None, Array]:
+def _pieces(sources: Array, classes: Array, certain: Array) -> tuple[Array | None, Array]:
     """The sources to be spread, piece by piece (None: all, as they are), and where each piece begins.
 
-    cells (S, 3), classes (S,) ascending; a piece is what of a class lies in one tile of the class's box
+    sources (S, 3) [voxels], classes (S,) ascending; a piece is what of a class lies in one tile of the class's box
     """
     which = np.flatnonzero(certain)
     if not len(which):
         return which, which
-    begins = np.flatnonzero(np.diff(classes[which], prepend=-1))
-    low = np.minimum.reduceat(cells[which], begins)
-    if (np.maximum.reduceat(cells[which], begins) - low).max() < TILE:
+    begins = np.flatnonzero(np.diff(classes[which].astype(np.int64), prepend=-1))
+    cells = sources[which]
+    low = np.minimum.reduceat(cells, begins)
+    if (np.maximum.reduceat(cells, begins) - low).max() < TILE:
         return (None if len(which) == len(classes) else which), begins
-    tiles = (cells[which] - np.repeat(low, np.diff(begins, append=len(which)), axis=0)) // TILE
+    tiles = (cells - np.repeat(low, np.diff(begins, append=len(which)), axis=0)) // TILE
     order = np.lexsort((*tiles.T, classes[which]))
     keys = np.column_stack([classes[which], tiles])[order]
     new = np.append(True, (keys[1:] != keys[:-1]).any(axis=1))

@@ -21,8 +21,15 @@ Float: TypeAlias = Any
 
 REACH = 3.0
 """Standard deviations at which a Gaussian is cut off; what is left is scaled to one."""
-PHASES = 32
+SHIFT = 5
+PHASES = 1 << SHIFT
 """A mean is rounded to the middle of so many parts of its cell."""
+MERGED = 2.5
+"""Sources within so many standard deviations of each other may become one."""
+VOXELS_A_SOURCE = 32
+"""How many voxels a source is expected to reach."""
+BIAS = 1 << 22
+"""Added to coordinates [voxels], so that rounding to zero is rounding down."""
 FINEST_SD, STEPS, LEVELS = 0.02, 16, 139
 """Standard deviations of the table: 0, then FINEST_SD·2^(n/STEPS), n = 0 … LEVELS − 2."""
 LARGEST_SD = FINEST_SD * 2.0 ** ((LEVELS - 2) / STEPS)
@@ -32,19 +39,19 @@ WIDTH = 2 * int(np.ceil(REACH * LARGEST_SD)) + 1
 
 
 @njit(cache=True)
-def _slot_of(table: Array, key: Int, label: Int, fresh: Int) -> Int:
-    """The slot of a packed voxel and a class in a hash (m, 2) of voxel and slot·2¹⁶ + class, −1 in empty rows; where it
-    has none, `fresh` is entered, in place."""
+def _slot_of(table: Array, key: Int, tag: Int, fresh: Int) -> Int:
+    """The slot of a packed voxel and a tag below 2²⁴ in a hash (m, 2) of voxel and slot·2²⁴ + tag, −1 in empty rows;
+    where it has none, `fresh` is entered, in place."""
     size = table.shape[0]
-    row = home(key ^ (np.int64(label) << 21), size)
+    row = home(key ^ (np.int64(tag) << 21), size)
     while True:
         found = table[row, 1]
         if found < 0:
             table[row, 0] = key
-            table[row, 1] = np.int64(fresh) << 16 | np.int64(label)
+            table[row, 1] = np.int64(fresh) << 24 | np.int64(tag)
             return fresh
-        if table[row, 0] == key and found & 0xFFFF == label:
-            return found >> 16
+        if table[row, 0] == key and found & 0xFFFFFF == tag:
+            return found >> 24
         row = (row + 1) & (size - 1)
 
 
@@ -110,12 +117,14 @@ def sum_labels(points: Array, labels: Array, weights: Array, poses: Array) -> tu
 
     points : (n, 3) float64; labels : (n,) uint16, 0 = none; weights : (n,) float64 ≥ 0, or (0,): all 1
     poses  : (p, 3, 4) float64 takes points to where they are [voxels]; each counts 1/p
-    Returns voxels (m, 3) int64, labels (m,) uint16, and the mean point, weighted by evidence, and the evidence
+    Returns voxels (m, 3) int32, labels (m,) uint16, and the mean point, weighted by evidence, and the evidence
     (m, 4) float64 [voxels], in order of first appearance.
     """
-    room = 1 << 13
+    room = 1 << 10
+    while room < min(points.shape[0], 1 << 15):
+        room *= 2
     table = np.full((2 * room, 2), -1, np.int64)
-    ijk, label_of, sums = np.empty((room, 3), np.int64), np.empty(room, np.uint16), np.empty((room, 4))
+    ijk, label_of, sums = np.empty((room, 3), np.int32), np.empty(room, np.uint16), np.empty((room, 4))
     n = 0
     for p in range(poses.shape[0]):
         m = 0
@@ -142,8 +151,8 @@ def sum_labels(points: Array, labels: Array, weights: Array, poses: Array) -> tu
 def tabulate(mass: Array, offset: Array, within: Array, beside: Array) -> None:
     """Fill the table of Gaussians cut off at `REACH`, in place.
 
-    mass, offset : (LEVELS, PHASES, WIDTH) float32, the mass in each cell and the mean of what is in it, relative to the
-                   mean of all; that lies in the middle of part q of cell `beside[l]`
+    mass, offset : (LEVELS, PHASES, WIDTH) float32, the mass of each cell and how far [parts of a cell] the mean of what
+                   is there is from that of all, which is the middle of part q of cell `beside[l]`
     within       : (LEVELS,) float64, the variance that is left when the cell is known
     beside       : (LEVELS,) int64, cells to each side of that of the mean that may hold some of the mass
     """
@@ -168,7 +177,7 @@ def tabulate(mass: Array, offset: Array, within: Array, beside: Array) -> None:
                 part = 0.5 * (erf(b / sqrt(2.0)) - erf(a / sqrt(2.0)))
                 at = (exp(-0.5 * a * a) - exp(-0.5 * b * b)) / sqrt(2.0 * pi) / part
                 mass[l, q, c] = part / kept
-                offset[l, q, c] = sd * min(max(at, a), b)
+                offset[l, q, c] = PHASES * sd * min(max(at, a), b)
                 between += part / kept * at * at
             within[l] += sd * sd * max(variance - between, 0.0) / PHASES
 
@@ -180,14 +189,95 @@ def _level_of(variance: Float) -> Int:
     return 0 if squares < 0.5 else min(max(np.int64(round(0.5 * STEPS * log2(squares))) + 1, 1), LEVELS - 1)
 
 
+@njit(cache=True, inline="always")
+def _covariance(v: Array, twists: Array, qx: Float, qy: Float, qz: Float) -> None:
+    """Write the covariance (3, 3) of a place into `v`, in place; q: from what the pose turns about to that place."""
+    v[:] = 0.0
+    for c in range(6):
+        a, b, g = twists[3, c], twists[4, c], twists[5, c]
+        dx, dy, dz = twists[0, c] + b * qz - g * qy, twists[1, c] + g * qx - a * qz, twists[2, c] + a * qy - b * qx
+        v[0, 0] += dx * dx
+        v[1, 1] += dy * dy
+        v[2, 2] += dz * dz
+        v[0, 1] += dx * dy
+        v[0, 2] += dx * dz
+        v[1, 2] += dy * dz
+    v[1, 0], v[2, 0], v[2, 1] = v[0, 1], v[0, 2], v[1, 2]
+
+
+@njit(cache=True)
+def merge_sources(
+    ijk: Array, labels: Array, sums: Array, centre: Array, twists: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Sources of a class that lie close beside how far they are spread, as one.
+
+    Along each axis 2ⁿ voxels, no more than `MERGED` standard deviations given the other axes, hold one source. Its mean
+    and covariance are those of its parts, so that what is spread differs in higher moments only.
+
+    ijk (s, 3) int32, labels (s,) uint16, sums (s, 4) float64 as `sum_labels` gives them; centre, twists as in
+    `measure_spread`. Returns labels (m,), mean (m, 3), evidence (m,) and covariance (m, 3, 3) of the parts' means, in
+    order of first appearance; zero where a source stays alone.
+    """
+    n_sources = ijk.shape[0]
+    size = 64
+    while size < 2 * n_sources:
+        size *= 2
+    table = np.full((size, 2), -1, np.int64)
+    label_of, evidence = np.empty(n_sources, np.uint16), np.empty(n_sources)
+    mean, around = np.empty((n_sources, 3)), np.empty((n_sources, 3, 3))
+    v = np.empty((3, 3))
+    n = 0
+    for s in range(n_sources):
+        _covariance(v, twists, sums[s, 0] - centre[0], sums[s, 1] - centre[1], sums[s, 2] - centre[2])
+        minor0 = v[1, 1] * v[2, 2] - v[1, 2] * v[1, 2]
+        minor1 = v[0, 0] * v[2, 2] - v[0, 2] * v[0, 2]
+        minor2 = v[0, 0] * v[1, 1] - v[0, 1] * v[0, 1]
+        determinant = (
+            v[0, 0] * minor0
+            - v[0, 1] * (v[0, 1] * v[2, 2] - v[1, 2] * v[0, 2])
+            + v[0, 2] * (v[0, 1] * v[1, 2] - v[1, 1] * v[0, 2])
+        )
+        a, b, c = _halvings(determinant, minor0), _halvings(determinant, minor1), _halvings(determinant, minor2)
+        tag = (np.int64(a) << 6 | b << 3 | c) << 16 | np.int64(labels[s])
+        slot = _slot_of(table, pack(ijk[s, 0] >> a, ijk[s, 1] >> b, ijk[s, 2] >> c), tag, n)
+        w = sums[s, 3]
+        if slot == n:
+            label_of[n], evidence[n] = labels[s], w
+            mean[n, 0], mean[n, 1], mean[n, 2] = sums[s, 0], sums[s, 1], sums[s, 2]
+            around[n] = 0.0
+            n += 1
+            continue
+        share = w / (evidence[slot] + w)
+        evidence[slot] += w
+        for d in range(3):
+            for e in range(3):
+                apart = (sums[s, d] - mean[slot, d]) * (sums[s, e] - mean[slot, e])
+                around[slot, d, e] = (1.0 - share) * (around[slot, d, e] + share * apart)
+        for d in range(3):
+            mean[slot, d] += share * (sums[s, d] - mean[slot, d])
+    return label_of[:n].copy(), mean[:n].copy(), evidence[:n].copy(), around[:n].copy()
+
+
+@njit(cache=True)
+def _halvings(determinant: Float, minor: Float) -> Int:
+    """n for 2ⁿ voxels of an axis whose variance given the others is determinant/minor."""
+    variance = determinant / minor if minor > 1e-12 else 0.0
+    n = 0
+    while n < 7 and MERGED * MERGED * variance >= 4.0:
+        variance *= 0.25
+        n += 1
+    return n
+
+
 @njit(cache=True)
 def measure_spread(
-    sources: Array, centre: Array, twists: Array, order: Array, within: Array, beside: Array,
+    sources: Array, around: Array, centre: Array, twists: Array, order: Array, within: Array, beside: Array,
     slopes: Array, levels: Array, low: Array, high: Array,
 ) -> None:  # fmt: skip
     """How the place of each source is spread by that of the sensor, in place.
 
     sources : (s, 3) float64 [voxels], moved to the mean of where they may be (to second order)
+    around  : (s, 3, 3) float64, how far what a source stands for lies about it
     centre  : (3,) what the sensor's pose turns about [voxels]
     twists  : (6, 6) float64, columns whose outer products sum to the covariance, in the map's axes: 3 rows of shift
               [voxels], 3 of rotation [rad]
@@ -201,20 +291,16 @@ def measure_spread(
     o, m, n = order[0], order[1], order[2]
     for s in range(sources.shape[0]):
         qx, qy, qz = sources[s, 0] - centre[0], sources[s, 1] - centre[1], sources[s, 2] - centre[2]
-        v[:] = 0.0
+        _covariance(v, twists, qx, qy, qz)
         for c in range(6):
             a, b, g = twists[3, c], twists[4, c], twists[5, c]
             dx, dy, dz = twists[0, c] + b * qz - g * qy, twists[1, c] + g * qx - a * qz, twists[2, c] + a * qy - b * qx
-            v[0, 0] += dx * dx
-            v[1, 1] += dy * dy
-            v[2, 2] += dz * dz
-            v[0, 1] += dx * dy
-            v[0, 2] += dx * dz
-            v[1, 2] += dy * dz
             sources[s, 0] += 0.5 * (b * dz - g * dy)
             sources[s, 1] += 0.5 * (g * dx - a * dz)
             sources[s, 2] += 0.5 * (a * dy - b * dx)
-        v[1, 0], v[2, 0], v[2, 1] = v[0, 1], v[0, 2], v[1, 2]
+        for d in range(3):
+            for e in range(3):
+                v[d, e] += around[s, d, e]
         first = _level_of(v[o, o])
         a10 = v[m, o] / v[o, o] if first > 0 else 0.0
         a20 = v[n, o] / v[o, o] if first > 0 else 0.0
@@ -239,44 +325,34 @@ def measure_spread(
         high[s, 2] = np.int64(np.floor(sources[s, n] + far2)) + beside[third]
 
 
-@njit(cache=True, inline="always")
-def _row_of(level: Int, x: Float, cell: Int) -> Int:
-    """Where in the flat table the row of a mean `x` in `cell` begins."""
-    return (level * PHASES + min(np.int64((x - cell) * PHASES), PHASES - 1)) * WIDTH
-
-
 @njit(cache=True)
 def _spread(
     box: Array, n1: Int, n2: Int, corner: Int, sources: Array, evidence: Array, slopes: Array, levels: Array,
     order: Array, mass: Array, offset: Array, beside: Array,
 ) -> None:  # fmt: skip
     """Add the evidence of sources to a dense box of voxels, in place. n1, n2: its last two sides, in that order of
-    axes; corner: index in it of voxel (0, 0, 0), which may lie outside."""
+    axes; corner: index in it of voxel (−BIAS, −BIAS, −BIAS), which may lie outside."""
     o, m, n = order[0], order[1], order[2]
     for s in range(sources.shape[0]):
-        l0, l1, l2 = levels[s, 0], levels[s, 1], levels[s, 2]
-        x0, x1, x2 = sources[s, o], sources[s, m], sources[s, n]
+        row0, row1, row2 = levels[s, 0] * PHASES, levels[s, 1] * PHASES, levels[s, 2] * PHASES
+        far0, far1, far2 = beside[levels[s, 0]], beside[levels[s, 1]], beside[levels[s, 2]]
+        x0, x1, x2 = (sources[s, o] + BIAS) * PHASES, (sources[s, m] + BIAS) * PHASES, (sources[s, n] + BIAS) * PHASES
         a10, a20, a21 = slopes[s, 0], slopes[s, 1], slopes[s, 2]
-        far0, far1, far2 = beside[l0], beside[l1], beside[l2]
-        i0 = np.int64(np.floor(x0))
-        t0 = _row_of(l0, x0, i0)
+        wide = np.uintp(2 * far2 + 1)
+        part0 = np.int64(x0)
+        t0 = (row0 + (part0 & PHASES - 1)) * WIDTH
         for a in range(t0, t0 + 2 * far0 + 1):
-            wa = evidence[s] * mass[a]
-            if wa == 0.0:
-                continue
+            w0 = evidence[s] * mass[a]
             y1, y2 = x1 + a10 * offset[a], x2 + a20 * offset[a]
-            i1 = np.int64(np.floor(y1))
-            t1 = _row_of(l1, y1, i1)
-            at1 = corner + ((i0 - far0 + a - t0) * n1 + i1 - far1 - t1) * n2 - far2
+            part1 = np.int64(y1)
+            t1 = (row1 + (part1 & PHASES - 1)) * WIDTH
+            at1 = corner + (((part0 >> SHIFT) - far0 + a - t0) * n1 + (part1 >> SHIFT) - far1 - t1) * n2 - far2
             for b in range(t1, t1 + 2 * far1 + 1):
-                w = np.float32(wa * mass[b])
-                if w == 0.0:
-                    continue
-                z2 = y2 + a21 * offset[b]
-                i2 = np.int64(np.floor(z2))
-                t2 = np.uintp(_row_of(l2, z2, i2))  # without a sign, so that the compiler sees a plain run of numbers
-                at2 = np.uintp(at1 + b * n2 + i2)
-                for c in range(np.uintp(2 * far2 + 1)):
+                w = np.float32(w0 * mass[b])
+                part2 = np.int64(y2 + a21 * offset[b])
+                t2 = np.uintp((row2 + (part2 & PHASES - 1)) * WIDTH)  # no sign: to the compiler a plain run of numbers
+                at2 = np.uintp(at1 + b * n2 + (part2 >> SHIFT))
+                for c in range(wide):
                     box[at2 + c] += w * mass[t2 + c]
 
 
@@ -285,7 +361,7 @@ def spread(
     starts: Array, labels: Array, low: Array, high: Array, sources: Array, evidence: Array, slopes: Array,
     levels: Array, order: Array, origin: Array, mass: Array, offset: Array, beside: Array,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Evidence of groups of sources where they may be: voxels (m, 3) int64, classes (m,) uint16, evidence (m,) float64.
+    """Evidence of groups of sources where they may be: voxels (m, 3) int32, classes (m,) uint16, evidence (m,) float64.
 
     starts    : (g + 1,) int64, where in the sources each group begins; labels (g,) uint16, the class of each
     low, high : (g, 3) int64, voxels between which all of its mass lies, in that order of axes
@@ -300,44 +376,61 @@ def spread(
             size *= high[g, d] - low[g, d] + 1
         largest = max(largest, size)
     box = np.empty(largest, np.float32)
-    ijk, classes, found = np.empty((0, 3), np.int64), np.empty(0, np.uint16), np.empty(0)
+    room = VOXELS_A_SOURCE * sources.shape[0]
+    ijk, classes, found = np.empty((room, 3), np.int32), np.empty(room, np.uint16), np.empty(room)
     n = 0
     for g in range(labels.shape[0]):
         n0, n1, n2 = high[g, 0] - low[g, 0] + 1, high[g, 1] - low[g, 1] + 1, high[g, 2] - low[g, 2] + 1
         part = box[: n0 * n1 * n2]
         part[:] = 0.0
-        corner = -((low[g, 0] * n1 + low[g, 1]) * n2 + low[g, 2])
+        corner = -(((low[g, 0] + BIAS) * n1 + low[g, 1] + BIAS) * n2 + low[g, 2] + BIAS)
         a, b = starts[g], starts[g + 1]
         _spread(
             part, n1, n2, corner, sources[a:b], evidence[a:b], slopes[a:b], levels[a:b], order, mass, offset, beside
         )
-        filled = 0
-        for at in range(part.shape[0]):
-            filled += part[at] > 0.0
+        rows = np.zeros(n0 * n1, np.int64)
+        filled = _count_cells(rows, part, n2)
         if n + filled > found.shape[0]:
-            more = max(n + filled, 2 * found.shape[0]) - n
-            ijk = np.concatenate((ijk[:n], np.empty((more, 3), np.int64)))
+            more = max(filled, n)
+            ijk = np.concatenate((ijk[:n], np.empty((more, 3), np.int32)))
             classes = np.concatenate((classes[:n], np.empty(more, np.uint16)))
             found = np.concatenate((found[:n], np.empty(more)))
-        _list_cells(ijk[n:], found[n:], part, n0, n1, n2, low[g], order, origin)
+        _list_cells(ijk[n:], found[n:], rows, part, n1, n2, low[g], order, origin)
         classes[n : n + filled] = labels[g]
         n += filled
     return ijk[:n], classes[:n], found[:n]
 
 
 @njit(cache=True)
+def _count_cells(rows: Array, box: Array, n2: Int) -> Int:
+    """How many voxels have evidence; written for each row of `n2`, in place."""
+    filled = 0
+    for row in range(rows.shape[0]):
+        part = box[row * n2 : (row + 1) * n2]
+        count = 0
+        for k in range(n2):
+            count += part[k] > 0.0
+        rows[row] = count
+        filled += count
+    return filled
+
+
+@njit(cache=True)
 def _list_cells(
-    ijk: Array, found: Array, box: Array, n0: Int, n1: Int, n2: Int, low: Array, order: Array, origin: Array
+    ijk: Array, found: Array, rows: Array, box: Array, n1: Int, n2: Int, low: Array, order: Array, origin: Array
 ) -> None:
     """List the voxels of a box that have evidence, and it, in place."""
     o, p, q = order[0], order[1], order[2]
     x0, x1, x2 = low[0] + origin[o], low[1] + origin[p], low[2] + origin[q]
-    n = at = 0
-    for i in range(n0):
-        for j in range(n1):
-            for k in range(n2):
-                if box[at] > 0.0:
-                    ijk[n, o], ijk[n, p], ijk[n, q] = x0 + i, x1 + j, x2 + k
-                    found[n] = box[at]
-                    n += 1
-                at += 1
+    n = 0
+    for row in range(rows.shape[0]):
+        i, j = row // n1, row % n1
+        last = n + rows[row]
+        k = 0
+        while n < last:
+            value = box[row * n2 + k]
+            if value > 0.0:
+                ijk[n, o], ijk[n, p], ijk[n, q] = x0 + i, x1 + j, x2 + k
+                found[n] = value
+                n += 1
+            k += 1
