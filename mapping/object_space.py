@@ -41,12 +41,12 @@ RIM = 2.0
 """How far masks reach beyond their object at most [px]."""
 STEP_VOXELS = 2.0
 """Neighbouring pixels whose depths differ by no more than this are taken for one surface."""
-DEPTH_NOISE = read_only(np.array([0.0012, 0.0019, 3.0]))
+DEPTH_NOISE = read_only(np.array([0.0012, 0.0019]))
 """σ(z) = a + b · (z − 0.4)² [m] of a structured-light camera (Nguyen et al., Modeling Kinect sensor noise, 2012)."""
 FRONT_SHARE = 0.25
 """Of components that weigh at least this share of the heaviest, the one in front is the object: the others are seen
 through it."""
-PART_SHARE = 0.02
+PART_SHARE = 0.005
 PART_GAP_M = 1.0
 HOLE_GAP_M = 0.1
 """Other parts of an object, seen beside an obstacle or beyond an edge of its own, weigh this share of the main one and
@@ -154,6 +154,7 @@ def space_of_mask(
     planes: Sequence[Plane] | ArrayLike | None = None,
     bleed_px: int = BLEED_PX,
     with_others: bool = False,
+    depth_noise: ArrayLike = DEPTH_NOISE,
 ) -> ObjectSpace:
     """The space of the object that a mask of a depth image shows, in the frame of `T_map_camera` (None: the camera's
     optical frame).
@@ -164,13 +165,14 @@ def space_of_mask(
                  unit normal and offset in the frame of T_map_camera. The rim of the mask, where it may bleed, does not
                  go on from the object on to one
     bleed_px     how far the mask may reach beyond the object
+    depth_noise  (2,) a, b of the depth's σ(z) = a + b · (z − 0.4)² [m]
     with_others  keep what else is seen about the object, which `space_of_views` counts against it
 
     Raises `InvalidObservation` where the images do not fit, `InvalidParameter` on other bad values.
     """
     size = require("voxel_size_m", voxel_size_m, 0.0, 100.0, "m")
-    most = require_whole("bleed_px", bleed_px, 0, 200) + 1
-    deepest = most + NEAR_BORDER_PX
+    most = 3 * require_whole("bleed_px", bleed_px, 0, 64) + 3
+    deepest = most + 3 * NEAR_BORDER_PX
     camera, depth_m, whole = as_camera(intrinsics), as_depth_m(depth), np.asarray(mask)
     for name, image in (("depth", depth_m), ("mask", whole)):
         if image.shape != (camera.height, camera.width):
@@ -179,8 +181,11 @@ def space_of_mask(
             )
     if whole.dtype != np.bool_:
         raise InvalidObservation(f"mask: expected bool, got {whole.dtype}")
+    noise = read_only(np.array(depth_noise, np.float64))
+    if noise.shape != (2,) or not (np.isfinite(noise).all() and (noise >= 0.0).all()):
+        raise InvalidParameter(f"depth_noise: expected two finite numbers ≥ 0, got {depth_noise!r}")
     pose = SE3.identity() if T_map_camera is None else as_pose(T_map_camera, "T_map_camera")
-    window = _window(whole, 2 * most if with_others else 1)
+    window = _window(whole, 2 * bleed_px if with_others else 1)
     part = np.ascontiguousarray(depth_m[window])
     shape = part.shape
     inside = np.empty(shape, np.uint8)
@@ -195,19 +200,20 @@ def space_of_mask(
     on, flat = np.zeros(shape, np.bool_), np.zeros(len(keys), np.bool_)
     known = _planes_of(planes, pose)
     if len(known):
-        kernels.find_on_planes(part, inside, local, known, 0.25 * size, DEPTH_NOISE, on)
+        kernels.find_on_planes(part, inside, local, known, 0.25 * size, noise, on)
         flat[:] = True
-        kernels.mark_flat(on, inside, most, row_at, flat)
+        kernels.mark_flat(on, inside, deepest, row_at, flat)
 
     parent = np.arange(len(keys), dtype=np.int32)
     step = STEP_VOXELS * size
     kernels.join_voxels(keys, flat, parent)
-    kernels.join_pixels(part, row_at, flat, step, DEPTH_NOISE, parent)
+    kernels.join_pixels(part, row_at, flat, step, noise, parent)
     kernels.find_roots(parent)
     sums = np.zeros((len(keys), 4))
-    kernels.weigh_parts(part, inside, most, deepest, row_at, parent, sums)
+    least = int(min(most, inside.max(initial=1)) + 1) // 2
+    kernels.weigh_parts(part, inside, least, most, deepest, row_at, parent, sums)
     front = np.zeros(shape, np.float32)
-    n = kernels.grow_rim(part, inside, most, deepest, row_at, _choose(sums)[parent], on, RIM * size, DEPTH_NOISE, front)
+    n = kernels.grow_rim(part, inside, most, deepest, row_at, _choose(sums)[parent], on, step, noise, front)
     points, voxel_of = np.empty((n, 3), np.float32), np.empty(n, np.int32)
     counts, votes = np.zeros(len(keys), np.int64), np.zeros(len(keys), np.float32)
     kernels.gather(front, inside, most, row_at, local, pose_row, points, voxel_of, counts, votes)

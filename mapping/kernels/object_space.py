@@ -21,24 +21,37 @@ Float: TypeAlias = Any
 
 @njit(cache=True)
 def measure_inside(mask: Array, most: Int, inside: Array) -> None:
-    """How far each pixel lies inside a mask (h, w) bool, in place: steps to the nearest pixel outside it, `most` at
-    most; 0 outside. What lies beyond the window counts as inside.
+    """How far each pixel lies inside a mask (h, w) bool, in place: its distance from the nearest pixel outside it in
+    thirds of a pixel, `most` at most; 0 outside. What lies beyond the window counts as inside.
 
-    inside : (h, w) uint8 [px], city-block; two raster sweeps (Rosenfeld & Pfaltz, Sequential operations, 1966)
+    inside : (h, w) uint8, chamfer distances 3-4 by two raster sweeps (Borgefors, Distance transformations in digital
+             images, 1986)
     """
     height, width = mask.shape
     for v in range(height):
-        left: Int = most
         for u in range(width):
-            above: Int = most if v == 0 else inside[v - 1, u]
-            left = min(most, min(left, above) + 1) if mask[v, u] else 0
-            inside[v, u] = left
+            best: Int = most if mask[v, u] else 0
+            if u > 0:
+                best = min(best, inside[v, u - 1] + 3)
+            if v > 0:
+                best = min(best, inside[v - 1, u] + 3)
+                if u > 0:
+                    best = min(best, inside[v - 1, u - 1] + 4)
+                if u < width - 1:
+                    best = min(best, inside[v - 1, u + 1] + 4)
+            inside[v, u] = best
     for v in range(height - 1, -1, -1):
-        right: Int = most
         for u in range(width - 1, -1, -1):
-            below: Int = most if v == height - 1 else inside[v + 1, u]
-            right = min(np.int64(inside[v, u]), min(right, below) + 1)
-            inside[v, u] = right
+            best = np.int64(inside[v, u])
+            if u < width - 1:
+                best = min(best, inside[v, u + 1] + 3)
+            if v < height - 1:
+                best = min(best, inside[v + 1, u] + 3)
+                if u > 0:
+                    best = min(best, inside[v + 1, u - 1] + 4)
+                if u < width - 1:
+                    best = min(best, inside[v + 1, u + 1] + 4)
+            inside[v, u] = best
 
 
 @njit(cache=True, inline="always")
@@ -189,7 +202,7 @@ def join_voxels(keys: Array, flat: Array, parent: Array) -> None:
 @njit(cache=True)
 def _step_at(z: Float, step: Float, noise: Array) -> Float:
     """How far the depths of two neighbours on one surface may differ at depth z [m]: `step`, or three σ of depth."""
-    return max(step, noise[2] * (noise[0] + noise[1] * (z - 0.4) ** 2))
+    return max(step, 3.0 * (noise[0] + noise[1] * (z - 0.4) ** 2))
 
 
 @njit(cache=True)
@@ -226,21 +239,23 @@ def find_roots(parent: Array) -> None:
 
 
 @njit(cache=True)
-def _is_seed(inside: Array, v: Int, u: Int, most: Int) -> bool:
-    """Whether a pixel lies `most` deep inside its mask, or as deep as all that surround it (a thin part's middle)."""
+def _is_seed(inside: Array, v: Int, u: Int, least: Int, most: Int) -> Any:
+    """Whether a pixel lies `most` deep inside its mask, or `least` and as deep as all around: a thin part's middle."""
     own = inside[v, u]
     if own >= most:
         return True
+    if own < least:
+        return False
     for a in range(max(v - 1, 0), min(v + 2, inside.shape[0])):
         for b in range(max(u - 1, 0), min(u + 2, inside.shape[1])):
             if inside[a, b] > own:
                 return False
-    return own > 0
+    return True
 
 
 @njit(cache=True)
 def weigh_parts(
-    depth: Array, inside: Array, most: Int, deepest: Int, row_at: Array, parent: Array, sums: Array
+    depth: Array, inside: Array, least: Int, most: Int, deepest: Int, row_at: Array, parent: Array, sums: Array
 ) -> None:
     """Sum up each component, in place: its seeds, which are pixels that bleeding by less than `most` cannot explain.
 
@@ -255,7 +270,7 @@ def weigh_parts(
             root, z = parent[row_at[v, u]], np.float64(depth[v, u])
             if inside[v, u] < deepest:
                 sums[root, 3] += 1.0
-            if _is_seed(inside, v, u, most):
+            if _is_seed(inside, v, u, least, most):
                 weight = np.float64(min(inside[v, u], most)) ** 2
                 sums[root, 0] += weight
                 sums[root, 1] += weight * z
@@ -283,8 +298,8 @@ def grow_rim(
               object has there where nothing was measured; 0 elsewhere
 
     Where the mask is `most` deep, all pixels of chosen voxels are the object's, but for those on a plane. From there
-    outwards a pixel is when it measured the mean depth of its neighbours that lie deeper inside the mask and are the
-    object's, but for `step` [m] or noise; on a plane these have to lie on one, too. As the way leads outwards only, it
+    outwards a pixel is when most of its neighbours deeper inside the mask are the object's, and it measured their mean
+    depth, but for `step` [m] or noise; on a plane these have to lie on one, too. As the way leads outwards only, it
     cannot run along the rim to a background that the object stands on elsewhere. Returns how many are the object's.
     """
     height, width = inside.shape
@@ -313,7 +328,7 @@ def grow_rim(
             v, u = order[n] // width, order[n] % width
             row, z = row_at[v, u], depth[v, u]
             measured = 0.0 < z < np.inf
-            deeper, ways, before = False, 0, np.float32(0.0)
+            deeper, ways, others, before = False, 0, 0, np.float32(0.0)
             found = np.float32(0.0)
             for a in range(max(v - 1, 0), min(v + 2, height)):
                 for b in range(max(u - 1, 0), min(u + 2, width)):
@@ -323,10 +338,12 @@ def grow_rim(
                     if front[a, b] != 0.0 and (on[a, b] or not on[v, u]):
                         before += abs(front[a, b])
                         ways += 1
-            if ways and not measured:
+                    elif row_at[a, b] >= 0:
+                        others += 1
+            if ways > others and not measured:
                 found = -before / ways
             elif row >= 0:
-                goes_on = ways > 0 and abs(before / max(ways, 1) - z) <= _step_at(z, step, noise)
+                goes_on = ways > others and abs(before / max(ways, 1) - z) <= _step_at(z, step, noise)
                 if goes_on or (chosen[row] and not deeper):
                     found = z
             front[v, u] = found
@@ -355,7 +372,7 @@ def gather(
     votes    : (K,) float32 of zeros: the sum over them of their depth inside the mask, 1 where no bleeding reaches
     """
     per_x, per_y, cx, cy = 1.0 / camera[0], 1.0 / camera[1], camera[2], camera[3]
-    share = np.float32(1.0 / max(most - 1, 1))
+    share = np.float32(1.0 / most)
     n = 0
     for v in range(front.shape[0]):
         for u in range(front.shape[1]):
