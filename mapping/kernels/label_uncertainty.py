@@ -260,10 +260,10 @@ def merge_sources(
 
 @njit(cache=True)
 def _halvings(determinant: Float, minor: Float) -> Int:
-    """n for 2ⁿ voxels of an axis whose variance given the others is determinant/minor."""
+    """n for 2ⁿ voxels, 8 at the most, of an axis whose variance given the others is determinant/minor."""
     variance = determinant / minor if minor > 1e-12 else 0.0
     n = 0
-    while n < 7 and MERGED * MERGED * variance >= 4.0:
+    while n < 3 and MERGED * MERGED * variance >= 4.0:
         variance *= 0.25
         n += 1
     return n
