@@ -116,16 +116,54 @@ def register_color(
             f"color: expected uint8 {(other.height, other.width, 3)} as color_intrinsics say, "
             f"got {pixels.dtype} {pixels.shape}"
         )
+    seen, nearest = _look(depth_m, camera, other, T_depth_color)
+    registered, valid = np.empty((*depth_m.shape, 3), np.uint8), np.empty(depth_m.shape, np.bool_)
+    share = require("tolerance", tolerance, 0.0, 1.0)
+    images.pick_colors(seen, nearest, share, read_only(np.ascontiguousarray(pixels)), registered, valid)
+    return registered, valid
+
+
+def register_labels(
+    labels: Array,
+    label_intrinsics: Camera,
+    T_depth_color: SE3 | ArrayLike,
+    depth: Array,
+    intrinsics: Camera,
+    *,
+    tolerance: float = 0.02,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """The label that each pixel of a depth image has in a mask, or an image of classes or instances, of another camera.
+
+    labels  (h, w) of any type, of the camera that stands at `T_depth_color` in the depth camera's frame
+
+    As `register_color`, but the nearest pixel counts, since what lies between two labels is neither. Returns labels
+    (H, W) of the same type, 0 or False where they are not valid, and which are valid (H, W) bool.
+    """
+    depth_m, camera = _checked_depth(depth, intrinsics)
+    other = as_camera(label_intrinsics)
+    pixels = np.asarray(labels)
+    if pixels.shape != (other.height, other.width):
+        raise InvalidObservation(
+            f"labels have shape {pixels.shape}, but label_intrinsics say {(other.height, other.width)}"
+        )
+    seen, nearest = _look(depth_m, camera, other, T_depth_color)
+    index = np.empty(depth_m.shape, np.int32)
+    images.pick_pixels(seen, nearest, require("tolerance", tolerance, 0.0, 1.0), index)
+    valid = index >= 0
+    return np.where(valid, pixels.ravel()[index], np.zeros((), pixels.dtype)), valid
+
+
+def _look(
+    depth_m: Array, camera: CameraIntrinsics, other: CameraIntrinsics, T_depth_color: SE3 | ArrayLike
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Where each pixel of depth lies in the other camera's image, and how near what covers each pixel of that is."""
     pose = as_pose(T_depth_color, "T_depth_color").inverse()
     pose_row = np.concatenate([pose.rotation.ravel(), pose.translation])
     seen = np.empty((*depth_m.shape, 3), np.float32)
     images.look_from(depth_m, _camera_row(camera), pose_row, _camera_row(other), seen)
     nearest = np.full((other.height, other.width), np.inf, np.float32)
     images.cover(depth_m, seen, other.fx / camera.fx, other.fy / camera.fy, nearest)
-    registered, valid = np.empty((*depth_m.shape, 3), np.uint8), np.empty(depth_m.shape, np.bool_)
-    share = require("tolerance", tolerance, 0.0, 1.0)
-    images.pick_colors(seen, nearest, share, read_only(np.ascontiguousarray(pixels)), registered, valid)
-    return registered, valid
+    return seen, nearest
 
 
 def _camera_row(camera: CameraIntrinsics) -> NDArray[np.float64]:

@@ -141,3 +141,19 @@ def pick_colors(seen: Array, nearest: Array, tolerance: Float, color: Array, pic
                 lower = second + (np.float32(color[below, right, c]) - second) * a
                 mixed = upper + (lower - upper) * b + half
                 picked[v, u, c] = np.uint8(mixed) if visible else np.uint8(0)
+
+
+@njit(cache=True)
+def pick_pixels(seen: Array, nearest: Array, tolerance: Float, index: Array) -> None:
+    """Which pixel of another camera's image (h, w) each pixel of depth is nearest to, in place.
+
+    seen, nearest : as for `pick_colors`
+    index         : (H, W) int32, row · w + column; −1 where it is hidden, outside or not measured
+    """
+    height, width = nearest.shape
+    for v in range(seen.shape[0]):
+        for u in range(seen.shape[1]):
+            z = seen[v, u, 2]
+            i = min(max(np.int64(np.floor(seen[v, u, 0] + np.float32(0.5))), 0), width - 1)
+            j = min(max(np.int64(np.floor(seen[v, u, 1] + np.float32(0.5))), 0), height - 1)
+            index[v, u] = j * width + i if z > 0.0 and z <= nearest[j, i] * (1.0 + tolerance) else -1

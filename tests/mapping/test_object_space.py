@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from mapping.conversions import depth_to_points
+from mapping.conversions import depth_to_points, register_color, register_labels
 from mapping.errors import InvalidObservation, InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.kernels import object_space as kernels
@@ -155,6 +155,42 @@ def test_a_pose_carries_points_and_voxels_into_the_map() -> None:
     np.testing.assert_array_equal(here.kept, there.kept)
     np.testing.assert_allclose(there.points, pose @ here.points, atol=1e-5)
     assert voxels(there) == set(map(tuple, np.floor((pose @ here.points.astype(float)) / SIZE).astype(int).tolist()))
+
+
+# -- masks of another camera -------------------------------------------------------------------------------------------
+
+COLOR_CAMERA = CameraIntrinsics(fx=400.0, fy=410.0, cx=251.0, cy=183.0, width=500, height=370)
+BESIDE = SE3.exp([0.05, 0.01, 0.0, 0.01, -0.02, 0.005])
+
+
+def test_labels_of_another_camera_are_never_blended() -> None:
+    depth = np.where(FROM_MIDDLE < 60, 1.5, 2.5).astype(np.float32)
+    labels = np.random.default_rng(0).choice(np.array([3, 70, 60_000], np.uint16), (370, 500))
+    registered, valid = register_labels(labels, COLOR_CAMERA, BESIDE, depth, CAMERA)
+    assert registered.dtype == np.uint16
+    assert set(np.unique(registered[valid]).tolist()) == {3, 70, 60_000}
+    assert not registered[~valid].any()
+    _, same = register_color(np.zeros((370, 500, 3), np.uint8), COLOR_CAMERA, BESIDE, depth, CAMERA)
+    np.testing.assert_array_equal(valid, same)
+
+
+def test_a_mask_of_another_camera_gives_the_space_of_its_object() -> None:
+    own = FROM_MIDDLE < 60
+    depth = np.where(own, 1.5, 2.5).astype(np.float32)
+    p_color = BESIDE.inverse() @ CAMERA.backproject(depth)[own].astype(float)
+    pixels, _ = COLOR_CAMERA.project(p_color)
+    v, u = np.mgrid[:370, :500]
+    mask = np.hypot(v - pixels[:, 1].mean(), u - pixels[:, 0].mean()) < 400.0 / 262.5 * 60 + 8
+    registered, _ = register_labels(mask, COLOR_CAMERA, BESIDE, depth, CAMERA)
+    assert (registered & ~own).any()
+    space = space_of_mask(depth, CAMERA, registered, SIZE)
+    assert not (space.kept & ~own).any()
+    assert (own & ~space.kept).sum() <= 0.01 * own.sum()
+
+
+def test_labels_that_do_not_fit_their_camera_are_refused() -> None:
+    with pytest.raises(InvalidObservation, match="labels have shape"):
+        register_labels(np.zeros((3, 3), bool), COLOR_CAMERA, BESIDE, np.ones(V.shape, np.float32), CAMERA)
 
 
 @pytest.mark.parametrize(
