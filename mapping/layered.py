@@ -59,7 +59,10 @@ class LayeredMap:
         self.label_range_m = label_range_m
         self.occupancy = OccupancyMap(voxel_size_m=voxel_size_m, max_range_m=max_range_m)
         self.tsdf = TsdfMap(
-            voxel_size_m=voxel_size_m, truncation_m=max(3.0 * voxel_size_m, 0.06), max_range_m=max_range_m
+            voxel_size_m=voxel_size_m,
+            truncation_m=max(3.0 * voxel_size_m, 0.06),
+            max_range_m=max_range_m,
+            depth_noise=0.0,  # boards as thin as voxels matter more to relations than walls far away
         )
         self.semantics = SemanticMap(voxel_size_m=voxel_size_m)
         self.instances = InstanceMap(voxel_size_m=instance_voxel_size_m)

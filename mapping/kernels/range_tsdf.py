@@ -59,7 +59,6 @@ def fuse_ranges(
     truncation: Float,
     carve: bool,
     inverse_square: bool,
-    slack: Float,
     max_weight: Float,
     reach: Array,
     lidar: Array,
@@ -83,5 +82,5 @@ def fuse_ranges(
             in_front = d > zero or (d < zero and along >= tau)
             s[w] = along if pixels[w] >= 0 and s[w] <= touch and in_front else np.float32(np.nan)
         changed[n] = fold_block(
-            distance, weight, slots[n], s, r, voxel_size, truncation, carve, inverse_square, slack, max_weight, gains
+            distance, weight, slots[n], s, r, voxel_size, truncation, carve, inverse_square, 0.0, max_weight, gains
         )

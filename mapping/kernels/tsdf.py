@@ -186,7 +186,6 @@ def sum_beams(
     max_range: Float,
     voxel_size: Float,
     truncation: Float,
-    slack: Float,
     table: Array,
     blocks: Array,
     n_blocks: Int,
@@ -246,7 +245,7 @@ def sum_beams(
                 new = min(length - along, truncation)
                 if new > -truncation:
                     local = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
-                    gain = trust(np.float32(new * per_voxel), np.float32(slack * length * length))
+                    gain = trust(np.float32(new * per_voxel), np.float32(0.0))
                     sums[row, local] += gain * new
                     weights[row, local] += gain
             if min(t0, t1, t2) > length + truncation:
