@@ -243,7 +243,7 @@ def space_of_views(views: Iterable[ObjectSpace]) -> ObjectSpace:
     size = _one_size(all_views, "views")
     mine = np.concatenate([_pack(view.voxel_ijk) for view in all_views])
     keys, rows = np.unique(np.concatenate([mine, *(_pack(view.other_ijk) for view in all_views)]), return_inverse=True)
-    says = [view.votes for view in all_views] + [-view.other_counts for view in all_views]
+    says: list[Array] = [view.votes for view in all_views] + [-view.other_counts for view in all_views]
     balance = np.bincount(rows, np.clip(np.concatenate(says) / FULL_VIEW_PX, -1.0, 1.0), len(keys))
     of_view = rows[: len(mine)]
     votes = np.bincount(of_view, np.concatenate([view.votes for view in all_views]), len(keys))

@@ -87,6 +87,34 @@ def find_on_planes(
 
 
 @njit(cache=True)
+def _enter_all(line: Array, table: Array, keys: Array, count: Int, rows: Array) -> Int:
+    """The row of each key of `line` (n,) in `keys`, −1 where it is below 0; new keys are entered, in place.
+
+    table : int32 hash table of rows, −1 = empty, of a size that is a power of two;  rows : (n,) int32
+    Returns how many keys there are then.
+    """
+    last_key, last = np.int64(-1), np.int32(-1)
+    size = len(table)
+    for u in range(len(line)):
+        key = line[u]
+        if key < 0:
+            rows[u] = -1
+            continue
+        if key != last_key:
+            last_key = key
+            at = home(key, size)
+            while table[at] >= 0 and keys[table[at]] != key:
+                at = (at + 1) & (size - 1)
+            if table[at] < 0:
+                table[at] = count
+                keys[count] = key
+                count += 1
+            last = table[at]
+        rows[u] = last
+    return count
+
+
+@njit(cache=True)
 def bin_pixels(
     depth: Array, inside: Array, camera: Array, pose: Array, per_voxel: Float, row_at: Array
 ) -> tuple[Array, Int]:
@@ -99,44 +127,32 @@ def bin_pixels(
     """
     height, width = depth.shape
     per_x, per_y, cx, cy = 1.0 / camera[0], 1.0 / camera[1], camera[2], camera[3]
-    keys = np.empty(4096, np.int64)
-    table = np.full(2 * len(keys), -1, np.int32)
+    keys = np.empty(4096 + width, np.int64)
+    table = np.full(2 << int(np.ceil(np.log2(len(keys)))), -1, np.int32)
+    line = np.empty(width, np.int64)
     count, lost = 0, 0
     limit = np.float64(BLOCK_LIMIT - 1)
-    last_key, last = np.int64(-1), np.int32(-1)
     for v in range(height):
-        for u in range(width):
-            row_at[v, u] = -1
+        y0 = (v - cy) * per_y
+        for u in range(width):  # without branches, so that several pixels are computed at once
             z = np.float64(depth[v, u])
-            if inside[v, u] == 0 or not 0.0 < z < np.inf:
-                continue
-            x, y = (u - cx) * per_x * z, (v - cy) * per_y * z
+            x, y = (u - cx) * per_x * z, y0 * z
             i = np.floor((pose[0] * x + pose[1] * y + pose[2] * z + pose[9]) * per_voxel)
             j = np.floor((pose[3] * x + pose[4] * y + pose[5] * z + pose[10]) * per_voxel)
             k = np.floor((pose[6] * x + pose[7] * y + pose[8] * z + pose[11]) * per_voxel)
-            if not (-limit <= i < limit and -limit <= j < limit and -limit <= k < limit):
-                lost += 1
-                continue
-            key = pack(np.int64(i), np.int64(j), np.int64(k))
-            if key != last_key:
-                last_key = key
-                at = home(key, len(table))
-                while table[at] >= 0 and keys[table[at]] != key:
-                    at = (at + 1) & (len(table) - 1)
-                if table[at] < 0:
-                    table[at] = count
-                    keys[count] = key
-                    count += 1
-                last = table[at]
-                if count == len(keys):
-                    keys = np.concatenate((keys, np.empty_like(keys), np.empty_like(keys), np.empty_like(keys)))
-                    table = np.full(2 * len(keys), -1, np.int32)
-                    for m in range(count):
-                        at = home(keys[m], len(table))
-                        while table[at] >= 0:
-                            at = (at + 1) & (len(table) - 1)
-                        table[at] = m
-            row_at[v, u] = last
+            far = max(max(abs(i), abs(j)), abs(k)) >= limit
+            key = pack(np.int32(i), np.int32(j), np.int32(k))
+            measured = (inside[v, u] > 0) & (z > 0.0) & (z < np.inf)
+            line[u] = (-2 if far else key) if measured else -1
+        if count + width > len(keys):
+            more = np.empty(4 * len(keys) + width, np.int64)
+            more[:count] = keys[:count]
+            keys = more
+            table = np.full(2 << int(np.ceil(np.log2(len(keys)))), -1, np.int32)
+            _enter_all(keys[:count], table, keys, 0, np.empty(count, np.int32))
+        count = _enter_all(line, table, keys, count, row_at[v])
+        for u in range(width):
+            lost += line[u] == -2
     return keys[:count].copy(), lost
 
 
