@@ -78,7 +78,7 @@ def count_labels(
 ) -> LabelEvidence:
     """Evidence of labelled points where they lie: points (N, 3) [m], class ids (N,), 0 = none, weights (N,) ≥ 0."""
     points = _Points(p_map, labels, weights, voxel_size_m)
-    ijk, classes, sums = points.summed()
+    ijk, classes, sums, _ = points.summed()
     return LabelEvidence(points.voxel_size_m, ijk + points.origin, classes, sums[:, 3].copy())
 
 
@@ -99,21 +99,21 @@ def spread_labels(
     covariance    (6, 6) of it: x, y, z, roll, pitch, yaw [m, rad] in that frame, T = T̂·Exp(ξ)
     weights       (N,) ≥ 0, what each point counts; default 1
 
-    The evidence of a point sums to its weight. Points are first summed by voxel and class, at the mean of those points;
-    each sum is then a Gaussian with covariance J·Σ·Jᵀ, J = R·[I, −[p]ₓ], about the mean to second order, cut off at 3
-    standard deviations; its mass in each voxel is taken axis by axis, given the axes before. Without any uncertainty
-    that is `count_labels`. Points that are less certain than 7.6 voxels (standard deviation along some axis) are left
-    out.
+    The evidence of a point sums to its weight. Points are first summed by voxel and class, and such sums again that lie
+    close beside their uncertainty. Each is then a Gaussian about the mean of its points (to second order), with their
+    covariance and that which the pose gives, J·Σ·Jᵀ with J = R·[I, −[p]ₓ], cut off at 3 standard deviations; its mass
+    in each voxel is taken axis by axis, given the axes before. Without any uncertainty that is `count_labels`. Points
+    that are less certain than 7.6 voxels (standard deviation along some axis) are left out.
 
-    Where it differs from the mean of infinitely many samples: the table rounds a standard deviation by up to 2.2 % and
-    a mean by 1/64 voxel, and large rotations bend a Gaussian. Raises `InvalidParameter`.
+    Where it differs from the mean of infinitely many samples: sums are taken for Gaussians, the table rounds a standard
+    deviation by up to 2.2 % and a mean by 1/64 voxel, and large rotations bend a Gaussian. Raises `InvalidParameter`.
     """
     pose, sigma = as_pose(T_map_sensor, "T_map_sensor"), _as_covariance(covariance)
     points = _Points(p_map, labels, weights, voxel_size_m)
-    ijk, classes, sums = points.summed()
+    ijk, classes, sums, squares = points.summed(with_squares=True)
     centre = pose.translation / points.voxel_size_m - points.origin
     twists = _twists(pose, sigma, points.voxel_size_m)
-    merged = kernels.merge_sources(ijk, classes, sums, centre, twists)
+    merged = kernels.merge_sources(ijk, classes, sums, squares, centre, twists)
     by_class = np.argsort(merged[0], kind="stable")
     classes, sources, evidence, around = (part[by_class] for part in merged)
     axes = _axes_by_spread(sources, centre, twists)
@@ -175,7 +175,7 @@ def sample_labels(
     pose = as_pose(T_map_frame, "T_map_frame")
     points = _Points(p_map, labels, weights, voxel_size_m)
     moves = pose.matrix @ noise_transforms(covariance, n_samples, seed) @ pose.inverse().matrix
-    ijk, classes, sums = points.summed(moves)
+    ijk, classes, sums, _ = points.summed(moves)
     return LabelEvidence(points.voxel_size_m, ijk + points.origin, classes, sums[:, 3].copy())
 
 
@@ -257,13 +257,15 @@ class _Points:
         self.origin: NDArray[np.int32] = np.floor(0.5 * (low + high) / self.voxel_size_m).astype(np.int32)
         """(3,) the voxel relative to which indices are counted."""
 
-    def summed(self, moves: Array | None = None) -> tuple[Array, Array, Array]:
-        """Voxels, classes and sums as `kernels.sum_labels` gives them, over the points as each of `moves` (P, 4, 4) [m]
-        moves them in map."""
+    def summed(self, moves: Array | None = None, *, with_squares: bool = False) -> tuple[Array, Array, Array, Array]:
+        """Voxels, classes, sums and squares as `kernels.sum_labels` gives them, over the points as each of `moves`
+        (P, 4, 4) [m] moves them in map."""
         poses = np.eye(4)[None, :3].copy() if moves is None else moves[:, :3].copy()
         poses /= self.voxel_size_m
         poses[:, :, 3] -= self.origin
-        sums: tuple[Array, Array, Array] = kernels.sum_labels(self.points, self.labels, self.weights, read_only(poses))
+        sums: tuple[Array, Array, Array, Array] = kernels.sum_labels(
+            self.points, self.labels, self.weights, read_only(poses), with_squares
+        )
         return sums
 
 
@@ -272,7 +274,7 @@ def _summed(ijk: Array, labels: Array, evidence: Array) -> tuple[Array, Array, A
     if not len(labels):
         return _nothing()
     points = _Points(ijk + 0.5, labels, evidence, 1.0)
-    voxels, classes, sums = points.summed()
+    voxels, classes, sums, _ = points.summed()
     return voxels + points.origin, classes, sums[:, 3].copy()
 
 

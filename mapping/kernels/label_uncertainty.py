@@ -26,6 +26,8 @@ PHASES = 1 << SHIFT
 """A mean is rounded to the middle of so many parts of its cell."""
 MERGED = 2.5
 """Sources within so many standard deviations of each other may become one."""
+CERTAIN = 0.1
+"""Places known to less than this [voxels] mostly stay in their voxel."""
 VOXELS_A_SOURCE = 32
 """How many voxels a source is expected to reach."""
 BIAS = 1 << 22
@@ -77,11 +79,12 @@ def bounds_of(points: Array, weights: Array) -> tuple[Array, Array]:
 
 @njit(cache=True)
 def _sum_until_full(
-    table: Array, ijk: Array, label_of: Array, sums: Array, n: Int, points: Array, labels: Array, weights: Array,
-    T: Array, share: Float, first: Int,
+    table: Array, ijk: Array, label_of: Array, sums: Array, squares: Array, n: Int, points: Array, labels: Array,
+    weights: Array, T: Array, share: Float, first: Int,
 ) -> tuple[Int, Int]:  # fmt: skip
     """Sum the points from `first` on, in place, until all are done or there is no room for one voxel more; returns how
-    many voxels there are and the next point."""
+    many voxels there are and the next point. squares: (n, 6), or (0, 6) to do without."""
+    with_squares = squares.shape[0] > 0
     last_i = last_j = last_k = np.int64(1) << 40
     last_label = np.uint16(0)
     slot = np.int64(0)
@@ -102,35 +105,49 @@ def _sum_until_full(
             slot = _slot_of(table, pack(i, j, k), label, n)
             if slot == n:
                 ijk[n, 0], ijk[n, 1], ijk[n, 2], label_of[n] = i, j, k, label
-                sums[n, 0] = sums[n, 1] = sums[n, 2] = sums[n, 3] = 0.0
+                sums[n] = 0.0
+                if with_squares:
+                    squares[n] = 0.0
                 n += 1
+        x, y, z = x - i, y - j, z - k
         sums[slot, 0] += w * x
         sums[slot, 1] += w * y
         sums[slot, 2] += w * z
         sums[slot, 3] += w
+        if with_squares:
+            squares[slot, 0] += w * x * x
+            squares[slot, 1] += w * y * y
+            squares[slot, 2] += w * z * z
+            squares[slot, 3] += w * x * y
+            squares[slot, 4] += w * x * z
+            squares[slot, 5] += w * y * z
     return n, points.shape[0]
 
 
 @njit(cache=True)
-def sum_labels(points: Array, labels: Array, weights: Array, poses: Array) -> tuple[Array, Array, Array]:
+def sum_labels(
+    points: Array, labels: Array, weights: Array, poses: Array, with_squares: bool
+) -> tuple[Array, Array, Array, Array]:
     """Evidence of labelled points, seen from each of some poses, summed by voxel and class.
 
     points : (n, 3) float64; labels : (n,) uint16, 0 = none; weights : (n,) float64 ≥ 0, or (0,): all 1
     poses  : (p, 3, 4) float64 takes points to where they are [voxels]; each counts 1/p
-    Returns voxels (m, 3) int32, labels (m,) uint16, and the mean point, weighted by evidence, and the evidence
-    (m, 4) float64 [voxels], in order of first appearance.
+    Returns voxels (m, 3) int32, labels (m,) uint16, the mean point, weighted by evidence, and the evidence (m, 4)
+    float64 [voxels], in order of first appearance; and, if asked for, the covariance xx, yy, zz, xy, xz, yz of the
+    points about their mean (m, 6), else (0, 6).
     """
     room = 1 << 10
     while room < min(points.shape[0], 1 << 15):
         room *= 2
     table = np.full((2 * room, 2), -1, np.int64)
     ijk, label_of, sums = np.empty((room, 3), np.int32), np.empty(room, np.uint16), np.empty((room, 4))
+    squares = np.empty((room if with_squares else 0, 6))
     n = 0
     for p in range(poses.shape[0]):
         m = 0
         while True:
             n, m = _sum_until_full(
-                table, ijk, label_of, sums, n, points, labels, weights, poses[p], 1.0 / poses.shape[0], m
+                table, ijk, label_of, sums, squares, n, points, labels, weights, poses[p], 1.0 / poses.shape[0], m
             )
             if m == points.shape[0]:
                 break
@@ -138,13 +155,21 @@ def sum_labels(points: Array, labels: Array, weights: Array, poses: Array) -> tu
             ijk = np.concatenate((ijk, np.empty_like(ijk)))
             label_of = np.concatenate((label_of, np.empty_like(label_of)))
             sums = np.concatenate((sums, np.empty_like(sums)))
+            squares = np.concatenate((squares, np.empty_like(squares)))
             table = np.full((2 * room, 2), -1, np.int64)
             for s in range(n):
                 _slot_of(table, pack(ijk[s, 0], ijk[s, 1], ijk[s, 2]), label_of[s], s)
+    squares = squares[:n].copy()
     for s in range(n):
-        for d in range(3):
-            sums[s, d] /= sums[s, 3]
-    return ijk[:n].copy(), label_of[:n].copy(), sums[:n].copy()
+        x, y, z = sums[s, 0] / sums[s, 3], sums[s, 1] / sums[s, 3], sums[s, 2] / sums[s, 3]
+        if with_squares:
+            for d in range(6):
+                squares[s, d] /= sums[s, 3]
+            squares[s, 0], squares[s, 3] = max(squares[s, 0] - x * x, 0.0), squares[s, 3] - x * y
+            squares[s, 1], squares[s, 4] = max(squares[s, 1] - y * y, 0.0), squares[s, 4] - x * z
+            squares[s, 2], squares[s, 5] = max(squares[s, 2] - z * z, 0.0), squares[s, 5] - y * z
+        sums[s, 0], sums[s, 1], sums[s, 2] = ijk[s, 0] + x, ijk[s, 1] + y, ijk[s, 2] + z
+    return ijk[:n].copy(), label_of[:n].copy(), sums[:n].copy(), squares
 
 
 @njit(cache=True)
@@ -207,16 +232,18 @@ def _covariance(v: Array, twists: Array, qx: Float, qy: Float, qz: Float) -> Non
 
 @njit(cache=True)
 def merge_sources(
-    ijk: Array, labels: Array, sums: Array, centre: Array, twists: Array
+    ijk: Array, labels: Array, sums: Array, squares: Array, centre: Array, twists: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Sources of a class that lie close beside how far they are spread, as one.
 
     Along each axis 2ⁿ voxels, no more than `MERGED` standard deviations given the other axes, hold one source. Its mean
-    and covariance are those of its parts, so that what is spread differs in higher moments only.
+    and covariance are those of its points, so that what is spread differs in higher moments only. Points of one voxel
+    stay in it where they are certain: along an axis with a standard deviation below `CERTAIN` they are drawn towards
+    their mean, in proportion.
 
-    ijk (s, 3) int32, labels (s,) uint16, sums (s, 4) float64 as `sum_labels` gives them; centre, twists as in
-    `measure_spread`. Returns labels (m,), mean (m, 3), evidence (m,) and covariance (m, 3, 3) of the parts' means, in
-    order of first appearance; zero where a source stays alone.
+    ijk (s, 3) int32, labels (s,) uint16, sums (s, 4), squares (s, 6) float64 as `sum_labels` gives them; centre, twists
+    as in `measure_spread`. Returns labels (m,), mean (m, 3), evidence (m,) and covariance (m, 3, 3) of the points, in
+    order of first appearance.
     """
     n_sources = ijk.shape[0]
     size = 64
@@ -225,7 +252,7 @@ def merge_sources(
     table = np.full((size, 2), -1, np.int64)
     label_of, evidence = np.empty(n_sources, np.uint16), np.empty(n_sources)
     mean, around = np.empty((n_sources, 3)), np.empty((n_sources, 3, 3))
-    v = np.empty((3, 3))
+    v, own = np.empty((3, 3)), np.empty((3, 3))
     n = 0
     for s in range(n_sources):
         _covariance(v, twists, sums[s, 0] - centre[0], sums[s, 1] - centre[1], sums[s, 2] - centre[2])
@@ -241,10 +268,15 @@ def merge_sources(
         tag = (np.int64(a) << 6 | b << 3 | c) << 16 | np.int64(labels[s])
         slot = _slot_of(table, pack(ijk[s, 0] >> a, ijk[s, 1] >> b, ijk[s, 2] >> c), tag, n)
         w = sums[s, 3]
+        f0, f1, f2 = _looseness(v[0, 0]), _looseness(v[1, 1]), _looseness(v[2, 2])
+        own[0, 0], own[1, 1], own[2, 2] = f0 * f0 * squares[s, 0], f1 * f1 * squares[s, 1], f2 * f2 * squares[s, 2]
+        own[0, 1] = own[1, 0] = f0 * f1 * squares[s, 3]
+        own[0, 2] = own[2, 0] = f0 * f2 * squares[s, 4]
+        own[1, 2] = own[2, 1] = f1 * f2 * squares[s, 5]
         if slot == n:
             label_of[n], evidence[n] = labels[s], w
             mean[n, 0], mean[n, 1], mean[n, 2] = sums[s, 0], sums[s, 1], sums[s, 2]
-            around[n] = 0.0
+            around[n] = own
             n += 1
             continue
         share = w / (evidence[slot] + w)
@@ -252,10 +284,16 @@ def merge_sources(
         for d in range(3):
             for e in range(3):
                 apart = (sums[s, d] - mean[slot, d]) * (sums[s, e] - mean[slot, e])
-                around[slot, d, e] = (1.0 - share) * (around[slot, d, e] + share * apart)
+                around[slot, d, e] += share * (own[d, e] - around[slot, d, e] + (1.0 - share) * apart)
         for d in range(3):
             mean[slot, d] += share * (sums[s, d] - mean[slot, d])
     return label_of[:n].copy(), mean[:n].copy(), evidence[:n].copy(), around[:n].copy()
+
+
+@njit(cache=True)
+def _looseness(variance: Float) -> Float:
+    """0 where a place is certain … 1 from a standard deviation of `CERTAIN` on."""
+    return min(sqrt(variance) / CERTAIN, 1.0)
 
 
 @njit(cache=True)
@@ -277,7 +315,7 @@ def measure_spread(
     """How the place of each source is spread by that of the sensor, in place.
 
     sources : (s, 3) float64 [voxels], moved to the mean of where they may be (to second order)
-    around  : (s, 3, 3) float64, how far what a source stands for lies about it
+    around  : (s, 3, 3) float64, covariance of the points that a source stands for
     centre  : (3,) what the sensor's pose turns about [voxels]
     twists  : (6, 6) float64, columns whose outer products sum to the covariance, in the map's axes: 3 rows of shift
               [voxels], 3 of rotation [rad]

@@ -96,7 +96,9 @@ def test_both_are_the_same_within_the_sampling_error(benchmark: BenchmarkFixture
         one, two = (naive.as_tally(cells().sample(covariance, n, seed)) for seed in (n, n + 1))
         off, by_chance = naive.distance(one, spread), naive.distance(one, two) / np.sqrt(2.0)
         table.notes.append(f"  {n:<5d} {off:.4f}                   {by_chance:.4f}")
-    binned = naive.distance(naive.as_tally(pixels().spread(covariance)), spread)
-    table.notes.append(f"  cells instead of pixels, both spread: {binned:.4f}")
+    image = naive.distance(
+        naive.as_tally(pixels().sample(covariance, N, 0)), naive.as_tally(pixels().spread(covariance))
+    )
+    table.notes.append(f"  from pixels, N = {N}: {image:.4f}")
     once = naive.as_tally(count_labels(cells().points, cells().labels, VOXEL, weights=cells().weights))
     table.notes.append(f"  direct projection, as if the pose were certain: {naive.distance(once, spread):.4f}")

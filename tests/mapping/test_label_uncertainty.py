@@ -144,6 +144,37 @@ def test_mean_and_covariance_are_those_of_the_point(seed: int) -> None:
 
 
 @settings(max_examples=15)
+@given(seed=seeds, size=st.floats(0.3, 4.0))
+def test_merging_keeps_evidence_mean_and_covariance_of_each_class(seed: int, size: float) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-4.0, 4.0, (300, 3))
+    labels, weights = rng.integers(1, 4, 300).astype(np.uint16), rng.uniform(0.1, 2.0, 300)
+    twists = np.zeros((6, 6))
+    twists[:3, :3] = size * np.eye(3)
+    ijk, classes, sums, squares = kernels.sum_labels(points, labels, weights, np.eye(4)[None, :3].copy(), True)
+    merged, mean, evidence, around = kernels.merge_sources(ijk, classes, sums, squares, np.zeros(3), twists)
+    assert len(merged) <= len(classes)
+    assert size < 2.0 or len(merged) < 0.3 * len(classes)
+    for label in (1, 2, 3):
+        these, mine = labels == label, merged == label
+        middle = weights[these] @ points[these] / weights[these].sum()
+        assert evidence[mine].sum() == pytest.approx(weights[these].sum())
+        assert evidence[mine] @ mean[mine] / evidence[mine].sum() == pytest.approx(middle, abs=1e-9)
+        off, apart = points[these] - middle, mean[mine] - middle
+        expected = (off.T * weights[these]) @ off
+        assert np.allclose((apart.T * evidence[mine]) @ apart + np.tensordot(evidence[mine], around[mine], 1), expected)
+
+
+def test_points_close_together_are_spread_as_each_by_itself() -> None:
+    points, labels = wall(120)
+    sigma = np.diag([0.03, 0.03, 0.01, 0.002, 0.002, 0.015]) ** 2
+    for size in (0.3, 1.0, 2.0):
+        together = naive.as_tally(spread_labels(points, labels, POSE, size**2 * sigma, VOXEL))
+        seen = sample_labels(points, labels, POSE, size**2 * sigma, VOXEL, n_samples=1000, seed=0)
+        assert naive.distance(naive.as_tally(seen), together) < 0.04
+
+
+@settings(max_examples=15)
 @given(seed=seeds)
 def test_relabelling_the_classes_permutes_the_evidence(seed: int) -> None:
     points, labels, weights = cloud(seed)
