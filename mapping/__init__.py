@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         surfels_to_points,
         tsdf_to_occupancy,
     )
+    from mapping.cost import CostGrid, CostMap, CostTable, semantic_cost
     from mapping.datasets import open_dataset
     from mapping.drivable import label_points, label_range_image
     from mapping.elevation import ElevationMap, ExtendedElevationMap, HeightMap
@@ -29,10 +30,12 @@ if TYPE_CHECKING:
     from mapping.frames import FrameTree
     from mapping.geometry import SE3, CameraIntrinsics
     from mapping.instances import InstanceMap
+    from mapping.label_uncertainty import LabelEvidence, published_update, spread_labels
     from mapping.layer import Changed, MapLayer
     from mapping.layered import LayeredMap
-    from mapping.mesh import Mesh
+    from mapping.mesh import IncrementalMesh, Mesh
     from mapping.multilevel import MultiLevelMap
+    from mapping.object_space import ObjectSpace, space_of_mask, space_of_points, space_of_views
     from mapping.observations import (
         AgentPose,
         ClassInfo,
@@ -67,6 +70,12 @@ _HOMES = {
         "Verdict",
         "spheres_are_free",
         "sweep",
+    ),
+    "cost": (
+        "CostGrid",
+        "CostMap",
+        "CostTable",
+        "semantic_cost",
     ),
     "conversions": (
         "depth_to_points",
@@ -104,13 +113,27 @@ _HOMES = {
         "CameraIntrinsics",
     ),
     "instances": ("InstanceMap",),
+    "label_uncertainty": (
+        "LabelEvidence",
+        "published_update",
+        "spread_labels",
+    ),
     "layer": (
         "Changed",
         "MapLayer",
     ),
     "layered": ("LayeredMap",),
-    "mesh": ("Mesh",),
+    "mesh": (
+        "IncrementalMesh",
+        "Mesh",
+    ),
     "multilevel": ("MultiLevelMap",),
+    "object_space": (
+        "ObjectSpace",
+        "space_of_mask",
+        "space_of_points",
+        "space_of_views",
+    ),
     "observations": (
         "AgentPose",
         "ClassInfo",
@@ -160,6 +183,9 @@ __all__ = [
     "ChangeDetector",
     "Changed",
     "ClassInfo",
+    "CostGrid",
+    "CostMap",
+    "CostTable",
     "DatasetError",
     "DepthView",
     "Detection",
@@ -170,9 +196,11 @@ __all__ = [
     "FrameTree",
     "HeightMap",
     "Hits",
+    "IncrementalMesh",
     "InstanceMap",
     "InvalidObservation",
     "InvalidParameter",
+    "LabelEvidence",
     "LabelSpace",
     "LayeredMap",
     "Leaves",
@@ -181,6 +209,7 @@ __all__ = [
     "MappingError",
     "Mesh",
     "MultiLevelMap",
+    "ObjectSpace",
     "OccupancyMap",
     "OctoMapTree",
     "Plane",
@@ -211,10 +240,16 @@ __all__ = [
     "points_to_mesh",
     "points_to_range_image",
     "points_to_tsdf",
+    "published_update",
     "range_image_to_points",
     "read_octomap",
     "register_color",
+    "semantic_cost",
+    "space_of_mask",
+    "space_of_points",
+    "space_of_views",
     "spheres_are_free",
+    "spread_labels",
     "surfels_to_points",
     "sweep",
     "tsdf_to_occupancy",
