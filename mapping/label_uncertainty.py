@@ -39,7 +39,7 @@ class LabelEvidence:
     ijk           (M, 3) int32 voxels
     labels        (M,) uint16 class ids
     evidence      (M,) float64 > 0
-    left_out      evidence of points whose place is too uncertain to be spread
+    left_out      evidence that was not given to voxels: it was too little, or its place too uncertain
     """
 
     voxel_size_m: float
@@ -90,6 +90,7 @@ def spread_labels(
     voxel_size_m: float,
     *,
     weights: ArrayLike | None = None,
+    least: float = 0.0,
 ) -> LabelEvidence:
     """Evidence of labelled points, each spread over the voxels in which it may lie, given how well the pose is known.
 
@@ -98,17 +99,21 @@ def spread_labels(
     T_map_sensor  the pose, or that of whichever frame the covariance is said of
     covariance    (6, 6) of it: x, y, z, roll, pitch, yaw [m, rad] in that frame, T = T̂·Exp(ξ)
     weights       (N,) ≥ 0, what each point counts; default 1
+    least         voxels in which a class has no more evidence are left out: at 3 standard deviations there is little
 
-    The evidence of a point sums to its weight. Points are first summed by voxel and class, and such sums again that lie
-    close beside their uncertainty. Each is then a Gaussian about the mean of its points (to second order), with their
-    covariance and that which the pose gives, J·Σ·Jᵀ with J = R·[I, −[p]ₓ], cut off at 3 standard deviations; its mass
-    in each voxel is taken axis by axis, given the axes before. Without any uncertainty that is `count_labels`. Points
-    that are less certain than 7.6 voxels (standard deviation along some axis) are left out.
+    The evidence of a point sums to its weight, with what is left out. Points are first summed by voxel and class, and
+    such sums again that lie close beside their uncertainty. Each is then a Gaussian about the mean of its points (to
+    second order), with their covariance and that which the pose gives, J·Σ·Jᵀ with J = R·[I, −[p]ₓ], cut off at 3
+    standard deviations; its mass in each voxel is taken axis by axis, given the axes before. Without any uncertainty
+    that is `count_labels`. Points that are less certain than 7.6 voxels (standard deviation along some axis) are left
+    out.
 
     Where it differs from the mean of infinitely many samples: sums are taken for Gaussians, the table rounds a standard
     deviation by up to 2.2 % and a mean by 1/64 voxel, and large rotations bend a Gaussian. Raises `InvalidParameter`.
     """
     pose, sigma = as_pose(T_map_sensor, "T_map_sensor"), _as_covariance(covariance)
+    if not 0.0 <= least < np.inf:
+        raise InvalidParameter(f"least: expected evidence ≥ 0, got {least!r}")
     points = _Points(p_map, labels, weights, voxel_size_m)
     ijk, classes, sums, squares = points.summed(with_squares=True)
     centre = pose.translation / points.voxel_size_m - points.origin
@@ -132,8 +137,10 @@ def spread_labels(
     of_pieces = classes[starts]
     found: tuple[Array, Array, Array] = kernels.spread(
         np.append(starts, len(classes)), of_pieces, np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts),
-        sources, evidence, slopes, levels, axes, points.origin, mass, offset, beside,
+        sources, evidence, slopes, levels, axes, points.origin, mass, offset, beside, float(least),
     )  # fmt: skip
+    if least > 0.0:
+        left_out += max(float(evidence.sum() - found[2].sum()), 0.0)
     if (of_pieces[1:] == of_pieces[:-1]).any():  # pieces of one class meet in some voxels
         found = _summed(*found)
     return LabelEvidence(points.voxel_size_m, *found, left_out)

@@ -397,7 +397,7 @@ def _spread(
 @njit(cache=True)
 def spread(
     starts: Array, labels: Array, low: Array, high: Array, sources: Array, evidence: Array, slopes: Array,
-    levels: Array, order: Array, origin: Array, mass: Array, offset: Array, beside: Array,
+    levels: Array, order: Array, origin: Array, mass: Array, offset: Array, beside: Array, least: Float,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Evidence of groups of sources where they may be: voxels (m, 3) int32, classes (m,) uint16, evidence (m,) float64.
 
@@ -405,6 +405,7 @@ def spread(
     low, high : (g, 3) int64, voxels between which all of its mass lies, in that order of axes
     origin    : (3,) int64, added to voxels
     mass, offset : (LEVELS · PHASES · WIDTH,) float32 as `tabulate` gives them
+    least     : voxels with no more evidence of a group are not listed
     The rest as in `measure_spread`; evidence (s,) float64.
     """
     largest = 0
@@ -427,27 +428,27 @@ def spread(
             part, n1, n2, corner, sources[a:b], evidence[a:b], slopes[a:b], levels[a:b], order, mass, offset, beside
         )
         rows = np.zeros(n0 * n1, np.int64)
-        filled = _count_cells(rows, part, n2)
+        filled = _count_cells(rows, part, n2, least)
         if n + filled > found.shape[0]:
             more = max(filled, n)
             ijk = np.concatenate((ijk[:n], np.empty((more, 3), np.int32)))
             classes = np.concatenate((classes[:n], np.empty(more, np.uint16)))
             found = np.concatenate((found[:n], np.empty(more)))
-        _list_cells(ijk[n:], found[n:], rows, part, n1, n2, low[g], order, origin)
+        _list_cells(ijk[n:], found[n:], rows, part, n1, n2, low[g], order, origin, least)
         classes[n : n + filled] = labels[g]
         n += filled
     return ijk[:n], classes[:n], found[:n]
 
 
 @njit(cache=True)
-def _count_cells(rows: Array, box: Array, n2: Int) -> Int:
-    """How many voxels have evidence; written for each row of `n2`, in place."""
+def _count_cells(rows: Array, box: Array, n2: Int, least: Float) -> Int:
+    """How many voxels have more than the least evidence; written for each row of `n2`, in place."""
     filled = 0
     for row in range(rows.shape[0]):
         part = box[row * n2 : (row + 1) * n2]
         count = 0
         for k in range(n2):
-            count += part[k] > 0.0
+            count += part[k] > least
         rows[row] = count
         filled += count
     return filled
@@ -455,9 +456,10 @@ def _count_cells(rows: Array, box: Array, n2: Int) -> Int:
 
 @njit(cache=True)
 def _list_cells(
-    ijk: Array, found: Array, rows: Array, box: Array, n1: Int, n2: Int, low: Array, order: Array, origin: Array
-) -> None:
-    """List the voxels of a box that have evidence, and it, in place."""
+    ijk: Array, found: Array, rows: Array, box: Array, n1: Int, n2: Int, low: Array, order: Array, origin: Array,
+    least: Float,
+) -> None:  # fmt: skip
+    """List the voxels of a box that have more than the least evidence, and it, in place."""
     o, p, q = order[0], order[1], order[2]
     x0, x1, x2 = low[0] + origin[o], low[1] + origin[p], low[2] + origin[q]
     n = 0
@@ -467,7 +469,7 @@ def _list_cells(
         k = 0
         while n < last:
             value = box[row * n2 + k]
-            if value > 0.0:
+            if value > least:
                 ijk[n, o], ijk[n, p], ijk[n, q] = x0 + i, x1 + j, x2 + k
                 found[n] = value
                 n += 1

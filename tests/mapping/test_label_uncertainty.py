@@ -233,6 +233,18 @@ def test_points_that_are_too_uncertain_are_left_out_and_counted() -> None:
     assert alone.left_out == 1.0
 
 
+def test_voxels_with_little_evidence_are_left_out_when_asked_for() -> None:
+    points, labels = wall()
+    sigma = a_covariance(1)
+    every, some = (spread_labels(points, labels, POSE, sigma, VOXEL, least=least) for least in (0.0, 0.05))
+    kept = every.evidence > np.float32(0.05)
+    assert len(some) < 0.8 * len(every)
+    assert naive.as_tally(some) == {key: value for key, value in naive.as_tally(every).items() if value > 0.05}
+    assert kept.sum() == len(some)
+    assert some.left_out + some.evidence.sum() == pytest.approx(len(points), rel=1e-5)
+    assert some.left_out < 0.02 * len(points)
+
+
 def test_equal_calls_give_equal_evidence_in_equal_order() -> None:
     points, labels = wall()
     one, two = (spread_labels(points, labels, POSE, a_covariance(1), VOXEL) for _ in range(2))
@@ -355,6 +367,7 @@ def test_the_mean_of_n_samples_tends_to_the_spread_like_one_over_root_n() -> Non
         ({"labels": np.array([1.0, 2.0, 3.0])}, "labels"),
         ({"weights": np.array([1.0, -1.0, 1.0])}, "weights"),
         ({"voxel_size_m": 0.0}, "voxel_size_m"),
+        ({"least": -1.0}, "least"),
         ({"covariance": np.eye(5)}, "covariance"),
         ({"covariance": -np.eye(6)}, "covariance"),
         ({"covariance": np.triu(np.ones((6, 6)))}, "covariance"),
