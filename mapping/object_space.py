@@ -53,7 +53,11 @@ HOLE_GAP_M = 0.1
 lie no farther than this before or behind its depths; not farther than HOLE_GAP_M if they never come near the border of
 the mask, as what is seen through a hole."""
 FULL_VIEW_PX = 4.0
-"""So many pixels of a voxel are a view's full vote for it."""
+"""So many pixels of a voxel are a view's full vote for it …"""
+AGAINST = 0.5
+"""… and this is the most that it says against one: a voxel at the object's outline shows what lies beside it, too."""
+PLANE_SLACK = 0.25
+"""A pixel lies on a plane that is nearer than this share of a voxel and half a σ of its depth."""
 
 NEAR_BORDER_PX = 8
 """What comes no nearer to the border of a mask than bleeding and this, is seen through a hole."""
@@ -166,7 +170,7 @@ def space_of_mask(
                  go on from the object on to one
     bleed_px     how far the mask may reach beyond the object
     depth_noise  (2,) a, b of the depth's σ(z) = a + b · (z − 0.4)² [m]
-    with_others  keep what else is seen about the object, which `space_of_views` counts against it
+    with_others  keep what is seen beside the mask, which `space_of_views` counts against the object
 
     Raises `InvalidObservation` where the images do not fit, `InvalidParameter` on other bad values.
     """
@@ -200,7 +204,7 @@ def space_of_mask(
     on, flat = np.zeros(shape, np.bool_), np.zeros(len(keys), np.bool_)
     known = _planes_of(planes, pose)
     if len(known):
-        kernels.find_on_planes(part, inside, local, known, 0.25 * size, noise, on)
+        kernels.find_on_planes(part, inside, local, known, PLANE_SLACK * size, noise, on)
         flat[:] = True
         kernels.mark_flat(on, inside, deepest, row_at, flat)
 
@@ -222,7 +226,7 @@ def space_of_mask(
     space = _space(size, points, kept, voxel_of, keys, counts, votes)
     if not with_others:
         return space
-    beside = (front <= 0.0).astype(np.uint8)
+    beside = (inside == 0).astype(np.uint8)
     row_at = np.empty(shape, np.int32)
     keys, _ = kernels.bin_pixels(part, beside, local, pose_row, 1.0 / size, row_at)
     others = np.bincount(row_at[row_at >= 0], minlength=len(keys))
@@ -232,9 +236,9 @@ def space_of_mask(
 def space_of_views(views: Iterable[ObjectSpace]) -> ObjectSpace:
     """The space of an object that was seen several times, by votes of its voxels; all views in one frame.
 
-    A view votes for the voxels of its object, less where they lie near the border of its mask, and against those where
-    it saw something else (`space_of_mask` with `with_others`); a voxel with more votes for it than against it is the
-    object's. Votes add, so that the order of views does not matter but for that of the points.
+    A view votes for the voxels of its object, less where they lie near the border of its mask, and half as much against
+    those that it saw beside the mask (`space_of_mask` with `with_others`). A voxel with more votes for it than against
+    it is the object's. Votes add: the order of views matters for the order of points only.
 
     `kept` (M,) says which points of all views stayed. Raises `InvalidParameter` without any view, or where voxels
     differ in size.
@@ -243,8 +247,8 @@ def space_of_views(views: Iterable[ObjectSpace]) -> ObjectSpace:
     size = _one_size(all_views, "views")
     mine = np.concatenate([_pack(view.voxel_ijk) for view in all_views])
     keys, rows = np.unique(np.concatenate([mine, *(_pack(view.other_ijk) for view in all_views)]), return_inverse=True)
-    says: list[Array] = [view.votes for view in all_views] + [-view.other_counts for view in all_views]
-    balance = np.bincount(rows, np.clip(np.concatenate(says) / FULL_VIEW_PX, -1.0, 1.0), len(keys))
+    says: list[Array] = [view.votes for view in all_views] + [-AGAINST * view.other_counts for view in all_views]
+    balance = np.bincount(rows, np.clip(np.concatenate(says) / FULL_VIEW_PX, -AGAINST, 1.0), len(keys))
     of_view = rows[: len(mine)]
     votes = np.bincount(of_view, np.concatenate([view.votes for view in all_views]), len(keys))
     first = np.cumsum([0, *(len(view) for view in all_views)])[:-1].tolist()

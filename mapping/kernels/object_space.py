@@ -56,10 +56,10 @@ def measure_inside(mask: Array, most: Int, inside: Array) -> None:
 
 @njit(cache=True, inline="always")
 def _lies_on(planes: Array, x: Float, y: Float, z: Float, slack: Float, noise: Array) -> bool:
-    """Whether a point in the optical frame is nearer than slack + 2 σ(z) to one of the planes (P, 14)."""
+    """Whether a point in the optical frame is nearer than slack + σ(z) / 2 to one of the planes (P, 14)."""
     near = False
     if planes.shape[0]:
-        reach = slack + 2.0 * (noise[0] + noise[1] * (z - 0.4) ** 2)
+        reach = slack + 0.5 * (noise[0] + noise[1] * (z - 0.4) ** 2)
         for p in range(planes.shape[0]):
             if abs(planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z - planes[p, 3]) <= reach:
                 a = planes[p, 4] * x + planes[p, 5] * y + planes[p, 6] * z - planes[p, 7]
