@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from mapping.errors import InvalidParameter
 from mapping.geometry import SE3
 from mapping.grid import as_points, ijk_to_centre, read_only
-from mapping.kernels import hashing
+from mapping.kernels import hashing, label_sums
 from mapping.kernels import label_uncertainty as kernels
 from mapping.layer import require, require_whole
 from mapping.view import as_pose
@@ -256,7 +256,7 @@ class _Points:
         ):
             raise InvalidParameter(f"labels: expected whole numbers 0 … 65535, got {classes.dtype}")
         self.labels, self.weights = read_only(np.ascontiguousarray(classes, np.uint16)), read_only(trust)
-        low, high = kernels.bounds_of(self.points, self.weights)
+        low, high = label_sums.bounds_of(self.points, self.weights)
         if not np.isfinite(high - low).all():
             raise InvalidParameter("p_map, weights: expected finite coordinates and finite weights ≥ 0")
         if (high - low).max() > hashing.BLOCK_LIMIT * self.voxel_size_m:
@@ -265,12 +265,12 @@ class _Points:
         """(3,) the voxel relative to which indices are counted."""
 
     def summed(self, moves: Array | None = None, *, with_squares: bool = False) -> tuple[Array, Array, Array, Array]:
-        """Voxels, classes, sums and squares as `kernels.sum_labels` gives them, over the points as each of `moves`
+        """Voxels, classes, sums and squares as `label_sums.sum_labels` gives them, over the points as each of `moves`
         (P, 4, 4) [m] moves them in map."""
         poses = np.eye(4)[None, :3].copy() if moves is None else moves[:, :3].copy()
         poses /= self.voxel_size_m
         poses[:, :, 3] -= self.origin
-        sums: tuple[Array, Array, Array, Array] = kernels.sum_labels(
+        sums: tuple[Array, Array, Array, Array] = label_sums.sum_labels(
             self.points, self.labels, self.weights, read_only(poses), with_squares
         )
         return sums

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from mapping.errors import InvalidParameter
 from mapping.geometry import SE3
+from mapping.kernels import label_sums
 from mapping.kernels import label_uncertainty as kernels
 from mapping.label_uncertainty import (
     LabelEvidence,
@@ -151,7 +152,7 @@ def test_merging_keeps_evidence_mean_and_covariance_of_each_class(seed: int, siz
     labels, weights = rng.integers(1, 4, 300).astype(np.uint16), rng.uniform(0.1, 2.0, 300)
     twists = np.zeros((6, 6))
     twists[:3, :3] = size * np.eye(3)
-    ijk, classes, sums, squares = kernels.sum_labels(points, labels, weights, np.eye(4)[None, :3].copy(), True)
+    ijk, classes, sums, squares = label_sums.sum_labels(points, labels, weights, np.eye(4)[None, :3].copy(), True)
     merged, mean, evidence, around = kernels.merge_sources(ijk, classes, sums, squares, np.zeros(3), twists)
     assert len(merged) <= len(classes)
     assert size < 2.0 or len(merged) < 0.3 * len(classes)
