@@ -127,7 +127,8 @@ def space_of_points(points: ArrayLike, voxel_size_m: float, *, weights: ArrayLik
     weights : (N,) ≥ 0, how surely a point is the object's, such as the distance of its pixel from the border of the
               mask; the component with the largest sum is the object, of equals that with the lowest voxel. Default 1
 
-    The result does not depend on the order of points. Raises `InvalidParameter` where the arrays do not fit or a weight
+    The result does not depend on the order of points (but for the rounding of sums of weights that are no whole
+    numbers). Raises `InvalidParameter` where the arrays do not fit or a weight
     is negative or not finite, `InvalidObservation` where a point is not finite or too far away for a voxel.
     """
     size = require("voxel_size_m", voxel_size_m, 0.0, 100.0, "m")
@@ -177,47 +178,42 @@ def space_of_mask(
     size = require("voxel_size_m", voxel_size_m, 0.0, 100.0, "m")
     most = 3 * require_whole("bleed_px", bleed_px, 0, 64) + 3
     deepest = most + 3 * NEAR_BORDER_PX
-    camera, depth_m, whole = as_camera(intrinsics), as_depth_m(depth), np.asarray(mask)
+    noise = read_only(np.array(depth_noise, np.float64))
+    if noise.shape != (2,) or not (np.isfinite(noise).all() and (noise >= 0.0).all()):
+        raise InvalidParameter(f"depth_noise: expected two finite numbers ≥ 0, got {depth_noise!r}")
+    camera, depth_m, whole = as_camera(intrinsics), as_depth_m(depth), _as_mask(mask)
     for name, image in (("depth", depth_m), ("mask", whole)):
         if image.shape != (camera.height, camera.width):
             raise InvalidObservation(
                 f"{name} has shape {image.shape}, but intrinsics say {(camera.height, camera.width)}"
             )
-    if whole.dtype != np.bool_:
-        raise InvalidObservation(f"mask: expected bool, got {whole.dtype}")
-    noise = read_only(np.array(depth_noise, np.float64))
-    if noise.shape != (2,) or not (np.isfinite(noise).all() and (noise >= 0.0).all()):
-        raise InvalidParameter(f"depth_noise: expected two finite numbers ≥ 0, got {depth_noise!r}")
     pose = SE3.identity() if T_map_camera is None else as_pose(T_map_camera, "T_map_camera")
-    window = _window(whole, 2 * bleed_px if with_others else 1)
+    known = _planes_of(planes, pose)
+    window = _window(whole, max(2 * bleed_px, 1) if with_others else 1)
     part = np.ascontiguousarray(depth_m[window])
-    shape = part.shape
-    inside = np.empty(shape, np.uint8)
-    kernels.measure_inside(np.ascontiguousarray(whole[window]), deepest, inside)
     local = np.array([camera.fx, camera.fy, camera.cx - window[1].start, camera.cy - window[0].start])
     pose_row = np.concatenate([pose.rotation.ravel(), pose.translation])
-    row_at = np.empty(shape, np.int32)
-    keys, lost = kernels.bin_pixels(part, inside, local, pose_row, 1.0 / size, row_at)
-    if lost:
-        raise InvalidObservation(f"depth, T_map_camera: {lost} pixels lie too far from the origin for a voxel")
-    row_at, keys = _sorted(row_at, keys)
-    on, flat = np.zeros(shape, np.bool_), np.zeros(len(keys), np.bool_)
-    known = _planes_of(planes, pose)
+    inside = np.empty(part.shape, np.uint8)
+    kernels.measure_inside(np.ascontiguousarray(whole[window]), deepest, inside)
+
+    row_at, keys = _bin_pixels(part, inside, local, pose_row, size)
+    on, flat = np.zeros(part.shape, np.bool_), np.zeros(len(keys), np.bool_)
     if len(known):
         kernels.find_on_planes(part, inside, local, known, PLANE_SLACK * size, noise, on)
         flat[:] = True
         kernels.mark_flat(on, inside, deepest, row_at, flat)
-
-    parent = np.arange(len(keys), dtype=np.int32)
     step = STEP_VOXELS * size
+    parent = np.arange(len(keys), dtype=np.int32)
     kernels.join_voxels(keys, flat, parent)
     kernels.join_pixels(part, row_at, flat, step, noise, parent)
     kernels.find_roots(parent)
+
     sums = np.zeros((len(keys), 4))
     least = int(min(most, inside.max(initial=1)) + 1) // 2
     kernels.weigh_parts(part, inside, least, most, deepest, row_at, parent, sums)
-    front = np.zeros(shape, np.float32)
+    front = np.zeros(part.shape, np.float32)
     n = kernels.grow_rim(part, inside, most, deepest, row_at, _choose(sums)[parent], on, step, noise, front)
+
     points, voxel_of = np.empty((n, 3), np.float32), np.empty(n, np.int32)
     counts, votes = np.zeros(len(keys), np.int64), np.zeros(len(keys), np.float32)
     kernels.gather(front, inside, most, row_at, local, pose_row, points, voxel_of, counts, votes)
@@ -226,9 +222,7 @@ def space_of_mask(
     space = _space(size, points, kept, voxel_of, keys, counts, votes)
     if not with_others:
         return space
-    beside = (inside == 0).astype(np.uint8)
-    row_at = np.empty(shape, np.int32)
-    keys, _ = kernels.bin_pixels(part, beside, local, pose_row, 1.0 / size, row_at)
+    row_at, keys = _bin_pixels(part, (inside == 0).astype(np.uint8), local, pose_row, size)
     others = np.bincount(row_at[row_at >= 0], minlength=len(keys))
     return replace(space, other_ijk=_unpack(keys), other_counts=others)
 
@@ -293,6 +287,17 @@ def _bin(points: Array, size: float) -> tuple[NDArray[np.int32], NDArray[np.int6
     return rows, _pack(ijk)
 
 
+def _bin_pixels(
+    depth: Array, inside: Array, camera: Array, pose: Array, size: float
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """The voxel of each masked pixel of a window, a row (h, w) of the ascending keys (K,), −1 where there is none."""
+    row_at = np.empty(depth.shape, np.int32)
+    keys, lost = kernels.bin_pixels(depth, inside, camera, pose, 1.0 / size, row_at)
+    if lost:
+        raise InvalidObservation(f"depth, T_map_camera: {lost} pixels lie too far from the origin for a voxel")
+    return _sorted(row_at, keys)
+
+
 def _sorted(rows: NDArray[np.int32], keys: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Rows (…) of keys (K,), −1 = none, and the keys, renumbered so that the keys ascend."""
     order = np.argsort(keys)
@@ -310,6 +315,13 @@ def _unpack(keys: NDArray[np.int64]) -> NDArray[np.int32]:
     mask = 2 * BLOCK_LIMIT - 1
     fields = np.stack([keys >> 42 & mask, keys >> 21 & mask, keys & mask], axis=1)
     return np.asarray(fields - BLOCK_LIMIT, np.int32)
+
+
+def _as_mask(mask: ArrayLike) -> NDArray[np.bool_]:
+    whole = np.asarray(mask)
+    if whole.dtype != np.bool_:
+        raise InvalidObservation(f"mask: expected bool, got {whole.dtype}")
+    return whole
 
 
 def _window(mask: NDArray[np.bool_], margin: int) -> tuple[slice, slice]:

@@ -66,3 +66,26 @@ def expand_octomap(
         asked.update(news)
         wave = np.array(news, np.int64).reshape(-1, 3)
     return start + resolution * np.concatenate(found)
+
+
+def grow_rim(
+    depth: np.ndarray, inside: np.ndarray, most: int, deepest: int, own: np.ndarray, on: np.ndarray, step_m: float
+) -> np.ndarray:
+    """Which pixels (H, W) are the object's, without noise: deep ones of `own`, and what goes on from them outwards."""
+    front = np.zeros(depth.shape)
+    height, width = depth.shape
+    for level in range(int(inside.max(initial=0)), 0, -1):
+        for v, u in np.argwhere(inside == level).tolist():
+            if level >= deepest or (level >= most and not on[v, u]):
+                front[v, u] = depth[v, u] if own[v, u] else 0.0
+                continue
+            around = [(a, b) for a in (v - 1, v, v + 1) for b in (u - 1, u, u + 1)]
+            deeper = [(a, b) for a, b in around if 0 <= a < height and 0 <= b < width and inside[a, b] > level]
+            mine = [abs(front[at]) for at in deeper if front[at] and (on[at] or not on[v, u])]
+            others = sum(depth[at] > 0 and not (front[at] and (on[at] or not on[v, u])) for at in deeper)
+            goes_on = len(mine) > others
+            if depth[v, u] == 0.0:
+                front[v, u] = -np.mean(mine) if goes_on else 0.0
+            elif (goes_on and abs(np.mean(mine) - depth[v, u]) <= step_m) or (not deeper and own[v, u]):
+                front[v, u] = depth[v, u]
+    return front > 0.0

@@ -13,6 +13,7 @@ from hypothesis.extra import numpy as hnp
 from mapping.conversions import depth_to_points, register_color, register_labels
 from mapping.errors import InvalidObservation, InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
+from mapping.grid import read_only
 from mapping.kernels import object_space as kernels
 from mapping.object_space import ObjectSpace, space_of_mask, space_of_points, space_of_views, write_color_octree
 from mapping.octomap import read_octomap
@@ -147,6 +148,47 @@ def test_pixels_inside_a_mask_are_counted_from_its_border(seed: int) -> None:
     assert not inside[~mask].any()
 
 
+@settings(max_examples=60)
+@given(seed=st.integers(0, 2**32 - 1), gaps=st.booleans())
+def test_the_rim_grows_as_the_naive_reference_says(seed: int, gaps: bool) -> None:
+    rng = np.random.default_rng(seed)
+    shape = (14, 17)
+    depth = rng.choice(np.array([1.0, 1.03, 1.07, 1.5, 0.0 if gaps else 1.0], np.float32), shape)
+    mask, on = rng.random(shape) < 0.95, rng.random(shape) < 0.2
+    inside = np.empty(shape, np.uint8)
+    kernels.measure_inside(mask, 12, inside)
+    measured = (inside > 0) & (depth > 0.0)
+    row_at = np.where(measured, (depth > 1.2).astype(np.int32), -1).astype(np.int32)
+    chosen, front = np.array([True, False]), np.zeros(shape, np.float32)
+    on &= measured
+    n = kernels.grow_rim(depth, inside, 6, 9, row_at, chosen, on, 0.0413, read_only(np.zeros(2)), front)
+    expected = naive.grow_rim(depth.astype(float), inside, 6, 9, row_at == 0, on, 0.0413)
+    np.testing.assert_array_equal(front > 0.0, expected)
+    assert n == expected.sum()
+
+
+@pytest.mark.parametrize("depth", [0.0, np.nan, np.inf])
+def test_where_nothing_was_measured_is_no_space(depth: float) -> None:
+    image = np.full(V.shape, depth, np.float32)
+    for mask in (FROM_MIDDLE < 50, np.zeros(V.shape, bool), np.ones(V.shape, bool)):
+        space = space_of_mask(image, CAMERA, mask, SIZE, with_others=True)
+        assert len(space) == len(space.points) == 0
+        assert not space.kept.any()
+
+
+def test_a_thin_pole_before_a_wall_is_the_object() -> None:
+    own = abs(U - 160) < 3
+    mask = (abs(U - 160) < 10) & (abs(V - 120) < 100)
+    np.testing.assert_array_equal(masked(own, mask).kept, own & mask)
+
+
+def test_a_coplanar_thing_is_not_cut_by_its_plane() -> None:
+    mask = FROM_MIDDLE < 60
+    flat = np.full(V.shape, 1.5, np.float32)
+    space = space_of_mask(flat, CAMERA, mask, SIZE, planes=[[0.0, 0.0, 1.0, 1.5]])
+    np.testing.assert_array_equal(space.kept, mask)
+
+
 def test_a_pose_carries_points_and_voxels_into_the_map() -> None:
     own, mask = FROM_MIDDLE < 60, FROM_MIDDLE < 65
     depth = np.where(own, 1.5, 2.5).astype(np.float32)
@@ -205,6 +247,29 @@ def test_images_that_do_not_fit_are_refused(change: dict[str, np.ndarray], words
     images = {"depth": np.ones(V.shape, np.float32), "mask": np.ones(V.shape, bool)} | change
     with pytest.raises(InvalidObservation, match=words):
         space_of_mask(images["depth"], CAMERA, images["mask"], SIZE)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"voxel_size_m": 0.0}, "voxel_size_m"),
+        ({"bleed_px": -1}, "bleed_px"),
+        ({"depth_noise": (0.1, np.nan)}, "depth_noise"),
+        ({"planes": [[0.0, 0.0, 1.0]]}, "planes"),
+        ({"planes": [[0.0, 0.0, 2.0, 1.0]]}, "unit length"),
+    ],
+)
+def test_bad_parameters_are_refused(change: dict[str, object], words: str) -> None:
+    given = {"voxel_size_m": SIZE} | change
+    with pytest.raises(InvalidParameter, match=words):
+        space_of_mask(np.ones(V.shape, np.float32), CAMERA, FROM_MIDDLE < 50, **given)  # type: ignore[arg-type]
+
+
+def test_spaces_of_unlike_voxels_are_not_joined() -> None:
+    spaces = [space_of_points(np.zeros((1, 3)), size) for size in (0.02, 0.05)]
+    for several in (spaces, []):
+        with pytest.raises(InvalidParameter, match="voxels of one size"):
+            space_of_views(several)
 
 
 # -- what is given out -------------------------------------------------------------------------------------------------
