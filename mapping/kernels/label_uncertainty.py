@@ -83,6 +83,12 @@ def _level_of(variance: Float) -> Int:
     return 0 if squares < 0.5 else min(max(np.int64(round(0.5 * STEPS * log2(squares))) + 1, 1), LEVELS - 1)
 
 
+@njit(cache=True)
+def _reach(variance: Float) -> Float:
+    """How far from its mean the mass of the Gaussian that the table has for a variance goes, at the most."""
+    return REACH * max(sqrt(variance) * 2.0 ** (1.0 / STEPS), FINEST_SD)
+
+
 @njit(cache=True, inline="always")
 def _covariance(v: Array, twists: Array, qx: Float, qy: Float, qz: Float) -> None:
     """Write the covariance (3, 3) of a place into `v`, in place; q: from what the pose turns about to that place."""
@@ -222,8 +228,9 @@ def measure_spread(
         if not max(v[0, 0], v[1, 1], v[2, 2]) <= LARGEST_SD * LARGEST_SD:
             levels[s, 0] = -1
             continue
-        far1 = abs(a10) * beside[first]
-        far2 = abs(a20) * beside[first] + abs(a21) * beside[second]
+        reach0, reach1 = _reach(v[o, o]), _reach(v11)
+        far1 = abs(a10) * reach0
+        far2 = abs(a20) * reach0 + abs(a21) * reach1
         low[s, 0] = np.int64(np.floor(sources[s, o])) - beside[first]
         high[s, 0] = np.int64(np.floor(sources[s, o])) + beside[first]
         low[s, 1] = np.int64(np.floor(sources[s, m] - far1)) - beside[second]
