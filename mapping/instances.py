@@ -313,6 +313,28 @@ class InstanceMap(MapLayer):
         )
         return points, weights
 
+    def classes(
+        self, low: ArrayLike, high: ArrayLike
+    ) -> tuple[NDArray[np.uint16], NDArray[np.float32], NDArray[np.float32]]:
+        """What instances say of the class of boxes from corners `low` to `high` (N, 3) [m].
+
+        Returns class ids (N,), 0 where there is no instance, the votes (N,) of fine voxels for instances of that class,
+        and their votes (N,) for others and for background.
+        """
+        size, n = self.voxel_size_m, len(np.asarray(low))
+        first = np.floor(np.asarray(low, np.float64) / size + 1e-6).astype(np.int64)
+        beyond = np.ceil(np.asarray(high, np.float64) / size - 1e-6).astype(np.int64)
+        known = np.fromiter(self.instances, np.int64, len(self.instances))
+        class_of = np.zeros(int(known.max(initial=0)) + 1, np.uint16)
+        class_of[known] = [instance.label for instance in self.instances.values()]
+        labels, votes, others = np.zeros(n, np.uint16), np.zeros(n, np.float32), np.zeros(n, np.float32)
+        fields = self.store.fields
+        kernels.classes_of_instances(
+            self.store.table, fields["instance"], fields["weight"], class_of, BACKGROUND, first, beyond, labels, votes,
+            others,
+        )  # fmt: skip
+        return labels, votes, others
+
     def query(self, p_map: ArrayLike) -> NDArray[np.uint32]:
         """The instance (N,) that holds each point (N, 3) [m]; 0 where none does."""
         slots, local = self.store.locate(p_map)

@@ -66,6 +66,7 @@ class LayeredMap:
         )
         self.semantics = SemanticMap(voxel_size_m=voxel_size_m)
         self.instances = InstanceMap(voxel_size_m=instance_voxel_size_m)
+        self.semantics.things = self.instances
         self.planes = PlaneMap(voxel_size_m)
         self.esdf = self._distance_field()
 
@@ -87,6 +88,7 @@ class LayeredMap:
         self.tsdf = TsdfMap.from_state(state["tsdf"])
         self.semantics = SemanticMap.from_state(state["semantics"])
         self.instances = InstanceMap.from_state(state["instances"])
+        self.semantics.things = self.instances
         self.planes.restore(state["planes"])
         self.esdf = self._distance_field()
 

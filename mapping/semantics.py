@@ -6,18 +6,25 @@ of all votes are kept, whatever the number of classes (Misra & Gries 1982); vote
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapping.errors import InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
-from mapping.grid import BlockStore, as_points, point_to_ijk
+from mapping.grid import BlockStore, as_points, ijk_to_centre, join_ijk, point_to_ijk
 from mapping.kernels import votes as kernels
 from mapping.layer import Changed, MapLayer, require
 
+if TYPE_CHECKING:
+    from mapping.instances import InstanceMap
+
 Array: TypeAlias = NDArray[Any]
+
+LEAST_THING_VOTES = 0.1
+"""A voxel is a thing's when the fine voxels in it have more votes for it (about: full views) than this, and than for
+others."""
 
 _NO_MEAN = np.empty((0, 0, 3), np.float32)
 
@@ -37,9 +44,14 @@ class SemanticMap(MapLayer):
 
     voxel_size_m  edge of a voxel [m]
     memory        votes (about: full views) after which older ones begin to count half
+
+    A voxel on a thing is of the thing's class, once `things` is set: a whole thing is right more often than single
+    voxels of it, which are seen less often and lie at the border of masks.
     """
 
     kind = "semantics"
+    things: InstanceMap | None = None
+    """The instances whose classes outrank the votes of single voxels."""
 
     def __init__(self, *, voxel_size_m: float, memory: float = 200.0) -> None:
         self.memory = require("memory", memory, 0.0, 1e6)
@@ -89,26 +101,33 @@ class SemanticMap(MapLayer):
         return self._note(slots)
 
     def query(self, p_map: ArrayLike) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:
-        """Class id (N,), 0 where unknown, and the leader's share of the votes (N,), NaN where unknown."""
-        slots, local = self.store.locate(p_map)
-        known = slots >= 0
-        at = (np.where(known, slots, 0), local)
-        labels = np.zeros(len(slots), np.uint16)
-        confidence = np.full(len(slots), np.nan, np.float32)
-        if self.store.n_blocks:
-            total = self.store.fields["total"][at]
-            known &= total > 0
-            labels[known] = self.store.fields["label"][at][known]
-            confidence[known] = self.store.fields["weight"][at][known] / total[known]
-        return labels, confidence
+        """Class id (N,), 0 where unknown, and its share of the votes (N,), NaN where unknown."""
+        points = as_points(p_map)
+        slots, local = self.store.locate(points)
+        labels, shares = np.zeros(len(slots), np.uint16), np.full(len(slots), np.nan, np.float32)
+        if not self.store.n_blocks:
+            return labels, shares
+        known = (slots >= 0) & (self.store.fields["total"][np.where(slots >= 0, slots, 0), local] > 0)
+        ijk = point_to_ijk(points[known], self.voxel_size_m)
+        labels[known], shares[known] = self._classes(ijk, slots[known], local[known])
+        return labels, shares
 
     def voxels(self) -> tuple[Array, Array, Array]:
         """Centres (N, 3) [m], class ids (N,) and confidences (N,) of all voxels with a vote."""
         slots, local = np.nonzero(self.store.used("total") > 0)
-        ijk = (self.block_ijk[slots] << 3) + np.stack([local >> 6, local >> 3 & 7, local & 7], axis=1)
-        at = (slots, local)
-        share = self.store.fields["weight"][at] / self.store.fields["total"][at]
-        return (ijk + 0.5) * self.voxel_size_m, self.store.fields["label"][at], share
+        ijk = join_ijk(self.block_ijk[slots], local)
+        return ijk_to_centre(ijk, self.voxel_size_m), *self._classes(ijk, slots, local)
+
+    def _classes(self, ijk: Array, slots: Array, local: Array) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:
+        """Class (N,) of voxels (N, 3) with votes, stored at slots and local (N,), and its share of the votes."""
+        labels = self.store.fields["label"][slots, local].copy()
+        shares = self.store.fields["weight"][slots, local] / self.store.fields["total"][slots, local]
+        if self.things is not None and len(ijk):
+            of_thing, votes, others = self.things.classes(ijk * self.voxel_size_m, (ijk + 1) * self.voxel_size_m)
+            sure = votes > np.maximum(others, LEAST_THING_VOTES)
+            labels[sure] = of_thing[sure]
+            shares[sure] = votes[sure] / (votes[sure] + others[sure])
+        return labels, np.asarray(shares, np.float32)
 
     def _votes(self) -> tuple[Array, ...]:
         return tuple(self.store.fields[name] for name in ("label", "weight", "second", "second_weight", "total"))

@@ -106,12 +106,13 @@ def vote_points(
     limit: float,
 ) -> None:
     """Votes of points, in place. p_map (N, 3) [m], choices (N,) with 0 = no vote, weights (N,)."""
+    per_voxel = 1.0 / voxel  # as everywhere, so that a point on a border lies in the same voxel for all
     for n in range(len(p_map)):
         if choices[n] == 0 or not weights[n] > 0.0:
             continue
-        i = int(np.floor(p_map[n, 0] / voxel))
-        j = int(np.floor(p_map[n, 1] / voxel))
-        k = int(np.floor(p_map[n, 2] / voxel))
+        i = int(np.floor(p_map[n, 0] * per_voxel))
+        j = int(np.floor(p_map[n, 1] * per_voxel))
+        k = int(np.floor(p_map[n, 2] * per_voxel))
         s = lookup(table, i >> 3, j >> 3, k >> 3)
         if s < 0:
             continue
@@ -342,3 +343,59 @@ def blocks_of_choices(
             pairs[n, 0], pairs[n, 1] = choice, s
             n += 1
     return pairs[:n]
+
+
+@njit(cache=True)
+def classes_of_instances(
+    table: Array,
+    first: Array,
+    first_weight: Array,
+    class_of: Array,
+    background: int,
+    low: Array,
+    high: Array,
+    labels: Array,
+    weights: Array,
+    others: Array,
+) -> None:
+    """What fine voxels within each box say of its class by the instances that lead in them, in place.
+
+    class_of        (m,) uint16: the class of instance 0 … m − 1; background: the choice that is no instance
+    low, high       (N, 3) int64: lowest fine voxel of each box, and the first beyond it
+    labels, weights (N,) filled: the class with most votes, and these; others (N,): votes for other classes and for none
+    """
+    classes, votes = np.empty(64, np.uint16), np.empty(64)
+    for n in range(len(low)):
+        count = 0
+        total = 0.0
+        for i in range(low[n, 0], high[n, 0]):
+            for j in range(low[n, 1], high[n, 1]):
+                for k in range(low[n, 2], high[n, 2]):
+                    s = lookup(table, i >> 3, j >> 3, k >> 3)
+                    if s < 0:
+                        continue
+                    l = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
+                    w = first_weight[s, l]
+                    if first[s, l] == 0 or not w > 0.0:
+                        continue
+                    total += w
+                    if first[s, l] == background or first[s, l] >= len(class_of):
+                        continue
+                    c = class_of[first[s, l]]
+                    at = 0
+                    while at < count and classes[at] != c:
+                        at += 1
+                    if at == len(classes):
+                        continue
+                    if at == count:
+                        classes[at] = c
+                        votes[at] = 0.0
+                        count += 1
+                    votes[at] += w
+        labels[n] = 0
+        weights[n] = 0.0
+        for at in range(count):
+            if votes[at] > weights[n] or (votes[at] == weights[n] and classes[at] < labels[n]):
+                labels[n] = classes[at]
+                weights[n] = votes[at]
+        others[n] = total - weights[n]

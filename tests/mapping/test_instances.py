@@ -10,6 +10,7 @@ import pytest
 from mapping.geometry import SE3
 from mapping.instances import InstanceMap
 from mapping.segmentation import segment
+from mapping.semantics import SemanticMap
 from tests.support.scenes import CAMERA, Block, Scene, looking_at
 
 VOXEL = 0.025
@@ -204,3 +205,24 @@ def test_a_query_of_unknown_places_is_zero(empty: bool) -> None:
     if not empty:
         world.around(2)
     assert world.map.query([[50.0, 0.0, 0.0], [0.0, 0.0, 1.5]]).tolist() == [0, 0]
+
+
+def test_a_voxel_is_of_the_class_of_the_thing_that_it_lies_on() -> None:
+    """Wrong labels of single voxels do not change what the thing as a whole is."""
+    world = Watching(box("crate", 0.0, 0.0, 1))
+    world.around(4)
+    crate, floor, chair = world.scene.id_of("crate"), world.scene.id_of("floor"), 999
+    classes = SemanticMap(voxel_size_m=0.05)
+    points, _ = world.map.points(1)
+    beside = np.array([[0.6, 0.6, -0.01], [0.7, 0.3, -0.01]])
+    classes.integrate(points, np.full(len(points), chair))
+    classes.integrate(beside, np.full(len(beside), floor))
+    assert set(classes.query(points)[0].tolist()) == {chair}
+    classes.things = world.map
+    labels, shares = classes.query(points)
+    assert (labels == crate).mean() > 0.98
+    assert (shares[labels == crate] > 0.5).all()
+    assert classes.query(beside)[0].tolist() == [floor, floor]
+    centres, of_voxels, _ = classes.voxels()
+    assert np.array_equal(of_voxels, classes.query(centres)[0])
+    assert classes.query(np.array([[3.0, 3.0, 3.0]]))[0][0] == 0

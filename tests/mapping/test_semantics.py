@@ -154,3 +154,10 @@ def test_what_carries_no_label_does_not_vote() -> None:
 def test_votes_that_do_not_match_their_points_are_refused() -> None:
     with pytest.raises(InvalidParameter, match="expected one a point"):
         SemanticMap(voxel_size_m=VOXEL).integrate(np.zeros((3, 3)), [1, 2])
+
+
+def test_a_point_on_the_border_of_two_voxels_is_found_where_it_voted() -> None:
+    on_borders = np.arange(-200, 200)[:, None] * np.array([[0.05, 0.15, -0.35]])
+    classes = SemanticMap(voxel_size_m=0.05)
+    classes.integrate(on_borders, np.full(len(on_borders), 4))
+    assert (classes.query(on_borders)[0] == 4).all()
