@@ -29,29 +29,29 @@ def measure_inside(mask: Array, most: Int, inside: Array) -> None:
     """
     height, width = mask.shape
     for v in range(height):
+        left: Int = most  # kept at hand, since what was just written takes long to be read again
         for u in range(width):
             best: Int = most if mask[v, u] else 0
-            if u > 0:
-                best = min(best, inside[v, u - 1] + 3)
             if v > 0:
                 best = min(best, inside[v - 1, u] + 3)
                 if u > 0:
                     best = min(best, inside[v - 1, u - 1] + 4)
                 if u < width - 1:
                     best = min(best, inside[v - 1, u + 1] + 4)
-            inside[v, u] = best
+            left = min(best, left + 3)
+            inside[v, u] = left
     for v in range(height - 1, -1, -1):
+        right: Int = most
         for u in range(width - 1, -1, -1):
             best = np.int64(inside[v, u])
-            if u < width - 1:
-                best = min(best, inside[v, u + 1] + 3)
             if v < height - 1:
                 best = min(best, inside[v + 1, u] + 3)
                 if u > 0:
                     best = min(best, inside[v + 1, u - 1] + 4)
                 if u < width - 1:
                     best = min(best, inside[v + 1, u + 1] + 4)
-            inside[v, u] = best
+            right = min(best, right + 3)
+            inside[v, u] = right
 
 
 @njit(cache=True, inline="always")
@@ -280,17 +280,33 @@ def weigh_parts(
     """
     height, width = inside.shape
     for v in range(height):
+        last = np.int32(-1)  # neighbours mostly have one root: sums of a run are kept at hand
+        w0 = w1 = w2 = border = 0.0
         for u in range(width):
             if row_at[v, u] < 0:
                 continue
             root, z = parent[row_at[v, u]], np.float64(depth[v, u])
+            if root != last:
+                _add(sums, last, w0, w1, w2, border)
+                w0 = w1 = w2 = border = 0.0
+                last = root
             if inside[v, u] < deepest:
-                sums[root, 3] += 1.0
+                border += 1.0
             if _is_seed(inside, v, u, least, most):
                 weight = np.float64(min(inside[v, u], most)) ** 2
-                sums[root, 0] += weight
-                sums[root, 1] += weight * z
-                sums[root, 2] += weight * z * z
+                w0 += weight
+                w1 += weight * z
+                w2 += weight * z * z
+        _add(sums, last, w0, w1, w2, border)
+
+
+@njit(cache=True, inline="always")
+def _add(sums: Array, root: Int, w0: Float, w1: Float, w2: Float, border: Float) -> None:
+    if root >= 0:
+        sums[root, 0] += w0
+        sums[root, 1] += w1
+        sums[root, 2] += w2
+        sums[root, 3] += border
 
 
 @njit(cache=True)
@@ -320,25 +336,27 @@ def grow_rim(
     """
     height, width = inside.shape
     first = np.zeros(deepest + 2, np.int64)
+    rim = np.empty(height * width, np.int32)
     count: Int = 0
+    size: Int = 0
     for v in range(height):
         for u in range(width):
-            row = row_at[v, u]
-            if inside[v, u] < most or (on[v, u] and inside[v, u] < deepest):
-                first[inside[v, u] + 1] += 1
+            row, level = row_at[v, u], inside[v, u]
+            if level < most or (on[v, u] and level < deepest):
+                rim[size] = v * width + u
+                size += level > 0
+                first[level + 1] += level > 0
             elif row >= 0 and chosen[row]:
                 front[v, u] = depth[v, u]
                 count += 1
     for level in range(1, deepest + 1):
         first[level] += first[level - 1]
-    order = np.empty(first[deepest], np.int32)
+    order = np.empty(size, np.int32)
     place = first.copy()
-    for v in range(height):
-        for u in range(width):
-            level = inside[v, u]
-            if level < most or (on[v, u] and level < deepest):
-                order[place[level]] = v * width + u
-                place[level] += 1
+    for n in range(size):
+        level = inside[rim[n] // width, rim[n] % width]
+        order[place[level]] = rim[n]
+        place[level] += 1
     for level in range(deepest - 1, 0, -1):
         for n in range(first[level], first[level + 1]):
             v, u = order[n] // width, order[n] % width
