@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mapping.frames import FrameTree
     from mapping.geometry import SE3, CameraIntrinsics
     from mapping.instances import InstanceMap
-    from mapping.label_uncertainty import LabelEvidence, published_update, spread_labels
+    from mapping.label_uncertainty import LabelEvidence, count_labels, published_update, sample_labels, spread_labels
     from mapping.layer import Changed, MapLayer
     from mapping.layered import LayeredMap
     from mapping.mesh import IncrementalMesh, Mesh
@@ -115,7 +115,9 @@ _HOMES = {
     "instances": ("InstanceMap",),
     "label_uncertainty": (
         "LabelEvidence",
+        "count_labels",
         "published_update",
+        "sample_labels",
         "spread_labels",
     ),
     "layer": (
@@ -230,6 +232,7 @@ __all__ = [
     "TsdfMap",
     "Verdict",
     "VirtualView",
+    "count_labels",
     "depth_to_points",
     "extract_planes",
     "label_points",
@@ -244,6 +247,7 @@ __all__ = [
     "range_image_to_points",
     "read_octomap",
     "register_color",
+    "sample_labels",
     "semantic_cost",
     "space_of_mask",
     "space_of_points",
