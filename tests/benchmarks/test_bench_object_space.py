@@ -47,6 +47,8 @@ SIZE = 0.02
 EROSION_PX = 5
 NEAR_M = 3.0
 """Musts are judged where noise (σ = 14 mm at 3 m) is smaller than a voxel and pixels lie closer than voxels."""
+HOMES = (11, 12, 13, 14)
+"""None of the homes that were looked at when the method's constants were chosen, which were 0, 1 and 2."""
 REALISTIC = NoiseModel(missed=0.0, mislabelled=0.0, confused=0.0)
 EXACT = NoiseModel(0.0, 0.0, 0, (3, 8), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -115,6 +117,13 @@ PEERS: dict[str, Method] = {
     "as its text, kr, 8 diagonals": lambda seen: printed(seen, SIZE),
     "kr, 26 neighbours": lambda seen: printed(seen, SIZE, naive.ALL_26),
 }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled() -> None:
+    """So that no time is spent on reading compiled kernels."""
+    ours(disc(0.0))
+    ours(disc(0.0), known_planes(simulate_home(0).structure[:1]))
 
 
 def judge(methods: dict[str, Method], seen: MaskedImage, scores: dict[str, list[Score]]) -> None:
@@ -215,7 +224,7 @@ def test_masks_of_simulated_homes(benchmark: BenchmarkFixture, table: Table, plo
     exact: dict[str, list[Score]] = defaultdict(list)
 
     def run() -> None:
-        for seed in range(4):
+        for seed in HOMES:
             home = simulate_home(seed)
             planes = known_planes(home.structure)
             methods: dict[str, Method] = {"product": ours, "with planes": lambda seen, p=planes: ours(seen, p)}
@@ -255,7 +264,7 @@ def test_several_views_and_planes(benchmark: BenchmarkFixture, table: Table) -> 
     sums = {key: np.zeros(4) for key in ("one view", "one view, planes", "views", "views, planes")}
 
     def run() -> None:
-        for seed in range(3):
+        for seed in HOMES[:3]:
             home = simulate_home(seed)
             planes = known_planes(home.structure)
             seen_of: dict[int, list[MaskedImage]] = defaultdict(list)
