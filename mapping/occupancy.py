@@ -184,13 +184,11 @@ class OccupancyMap(MapLayer):
     def _fold(self, scan: Marks) -> Changed:
         """Update each marked voxel of a scan once."""
         store, revision, n_blocks = self.store, self.revision + 1, len(scan.blocks)
-        kinds = np.empty(n_blocks, np.uint8)
-        occupancy.sort_marks(scan.marks, scan.which, kinds)
         rows, changed, same = np.empty(n_blocks, np.int64), np.empty(n_blocks, np.bool_), np.zeros(n_blocks, np.bool_)
         n = 0
         while n < n_blocks:
             n = occupancy.open_blocks(
-                *store.rows, store.payload, store.free_slots, store.counts, n, scan.blocks, kinds, self._steps,
+                *store.rows, store.payload, store.free_slots, store.counts, n, scan.blocks, scan.kinds, self._steps,
                 revision, rows, changed,
             )  # fmt: skip
             if n < n_blocks:

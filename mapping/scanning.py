@@ -14,6 +14,9 @@ from mapping.kernels import beams, occupancy
 
 Array: TypeAlias = NDArray[Any]
 
+_SCANNED_BLOCKS = 1 << 16
+"""In a volume of at most so many blocks, those with marks are found afterwards: to note them at each step takes
+longer."""
 _MOST_BLOCKS = 1 << 21
 """Of the volume about a scan; beyond, its blocks are kept in a hash. Of a volume's memory only what beams touch is ever
 used."""
@@ -21,11 +24,18 @@ used."""
 
 class Marks(NamedTuple):
     """The blocks (n, 3) of a scan, and rows `which` (n,) of marks (m, 512) uint8, one a voxel: 0, MISS or HIT; −1
-    stands for a block that beams passed as a whole."""
+    stands for a block that beams passed as a whole. `kinds` (n,): what the marks say of a block, see `sort_marks`."""
 
     blocks: NDArray[np.int32]
     which: NDArray[np.int64]
     marks: NDArray[np.uint8]
+    kinds: NDArray[np.uint8]
+
+
+def _sorted_out(blocks: NDArray[np.int32], which: NDArray[np.int64], marks: NDArray[np.uint8]) -> Marks:
+    kinds = np.empty(len(blocks), np.uint8)
+    occupancy.sort_marks(marks, which, kinds)
+    return Marks(blocks, which, marks, kinds)
 
 
 def cast_rays(
@@ -58,16 +68,21 @@ def _cast_near(
     shape = tuple(int(n) for n in layout[3:])
     offsets = np.empty((3, 8 * max(shape)), np.int64)
     beams.list_offsets(layout, offsets)
-    touched = np.zeros(int(np.prod(shape)), np.uint8)
-    marks = np.zeros(BLOCK_VOXELS * len(touched), np.uint8)
+    n_blocks = int(np.prod(shape))
+    marks = np.zeros(BLOCK_VOXELS * n_blocks, np.uint8)
+    noted = np.zeros(n_blocks if n_blocks > _SCANNED_BLOCKS else 0, np.uint8)
     if thin:
         n = beams.thin_out(ends, whole, voxel_size_m, layout, offsets, marks)
         ends, whole = ends[:n], whole[:n]
-    beams.mark_beams(origin, ends, voxel_size_m, layout, offsets, marks, touched)
-    beams.mark_ends(ends, whole, voxel_size_m, layout, offsets, marks, touched)
-    rows = np.flatnonzero(touched)
+    beams.mark_beams(origin, ends, voxel_size_m, layout, offsets, marks, noted)
+    beams.mark_ends(ends, whole, voxel_size_m, layout, offsets, marks, noted)
+    rows = np.flatnonzero(noted) if len(noted) else np.arange(n_blocks)
+    kinds, marks = np.empty(len(rows), np.uint8), marks.reshape(-1, BLOCK_VOXELS)
+    occupancy.sort_marks(marks, rows, kinds)
+    marked = np.flatnonzero(kinds)
+    rows = rows[marked]
     blocks = np.stack(np.unravel_index(rows, shape), axis=1) + layout[:3]
-    return Marks(blocks.astype(np.int32), rows, marks.reshape(-1, BLOCK_VOXELS))
+    return Marks(blocks.astype(np.int32), rows, marks, kinds[marked])
 
 
 def _cast_far(origin: Array, ends: Array, whole: Array, voxel_size_m: float) -> Marks:
@@ -113,4 +128,4 @@ class ScanBlocks:
         blocks, which = self.blocks[: self.n_blocks], np.arange(self.n_blocks)
         if free is not None:
             blocks, which = np.concatenate([blocks, free]), np.concatenate([which, np.full(len(free), -1)])
-        return Marks(blocks, which, self.marks)
+        return _sorted_out(blocks, which, self.marks)

@@ -26,7 +26,7 @@ PARTS = 8
 """The beams are shared out to threads in so many parts."""
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def place_beams(
     p_sensor: Array, pose: Array, max_range: Float, snap: Float, ends: Array, whole: Array, box: Array
 ) -> bool:
@@ -37,38 +37,30 @@ def place_beams(
     ends     : (n, 3) [m], filled; whole (n,) bool, filled: whether the beam was not cut
     box      : (2, 3) [m], filled: lowest and highest corner of the box about the sensor and all ends
     """
-    part = -(-p_sensor.shape[0] // PARTS)
-    finite = np.ones(PARTS, np.bool_)
-    lows, highs = np.empty((PARTS, 3)), np.empty((PARTS, 3))
     per_voxel = 1.0 / snap if snap > 0.0 else 0.0
-    for p in prange(PARTS):
-        low_x, low_y, low_z = pose[9], pose[10], pose[11]
-        high_x, high_y, high_z = low_x, low_y, low_z
-        good = True
-        for n in range(p * part, min(p_sensor.shape[0], (p + 1) * part)):
-            a, b, c = p_sensor[n, 0], p_sensor[n, 1], p_sensor[n, 2]
-            x = pose[0] * a + pose[1] * b + pose[2] * c
-            y = pose[3] * a + pose[4] * b + pose[5] * c
-            z = pose[6] * a + pose[7] * b + pose[8] * c
-            if snap > 0.0:
-                x = (np.floor((x + pose[9]) * per_voxel) + 0.5) * snap - pose[9]
-                y = (np.floor((y + pose[10]) * per_voxel) + 0.5) * snap - pose[10]
-                z = (np.floor((z + pose[11]) * per_voxel) + 0.5) * snap - pose[11]
-            length = np.sqrt(x * x + y * y + z * z)
-            good &= length < np.inf
-            whole[n] = length <= max_range
-            share = 1.0 if whole[n] else max_range / length
-            x, y, z = x * share + pose[9], y * share + pose[10], z * share + pose[11]
-            ends[n, 0], ends[n, 1], ends[n, 2] = x, y, z
-            low_x, low_y, low_z = min(low_x, x), min(low_y, y), min(low_z, z)
-            high_x, high_y, high_z = max(high_x, x), max(high_y, y), max(high_z, z)
-        lows[p, 0], lows[p, 1], lows[p, 2] = low_x, low_y, low_z
-        highs[p, 0], highs[p, 1], highs[p, 2] = high_x, high_y, high_z
-        finite[p] = good
-    for axis in range(3):
-        box[0, axis] = lows[:, axis].min()
-        box[1, axis] = highs[:, axis].max()
-    return bool(finite.all())
+    low_x, low_y, low_z = pose[9], pose[10], pose[11]
+    high_x, high_y, high_z = low_x, low_y, low_z
+    finite = True
+    for n in range(p_sensor.shape[0]):
+        a, b, c = p_sensor[n, 0], p_sensor[n, 1], p_sensor[n, 2]
+        x = pose[0] * a + pose[1] * b + pose[2] * c
+        y = pose[3] * a + pose[4] * b + pose[5] * c
+        z = pose[6] * a + pose[7] * b + pose[8] * c
+        if snap > 0.0:
+            x = (np.floor((x + pose[9]) * per_voxel) + 0.5) * snap - pose[9]
+            y = (np.floor((y + pose[10]) * per_voxel) + 0.5) * snap - pose[10]
+            z = (np.floor((z + pose[11]) * per_voxel) + 0.5) * snap - pose[11]
+        length = np.sqrt(x * x + y * y + z * z)
+        finite &= length < np.inf
+        whole[n] = length <= max_range
+        share = 1.0 if whole[n] else max_range / length
+        x, y, z = x * share + pose[9], y * share + pose[10], z * share + pose[11]
+        ends[n, 0], ends[n, 1], ends[n, 2] = x, y, z
+        low_x, low_y, low_z = min(low_x, x), min(low_y, y), min(low_z, z)
+        high_x, high_y, high_z = max(high_x, x), max(high_y, y), max(high_z, z)
+    box[0, 0], box[0, 1], box[0, 2] = low_x, low_y, low_z
+    box[1, 0], box[1, 1], box[1, 2] = high_x, high_y, high_z
+    return finite
 
 
 @njit(cache=True)
@@ -117,8 +109,10 @@ def mark_beams(
     The walk is that of OctoMap's `computeRayKeys`: the voxel of the origin is passed, that of the end is not.
 
     offsets : (3, m) int64: where in `marks` the voxels of each index along an axis begin, see `list_offsets`
-    marks   : (voxels of the layout,) uint8; touched (blocks of the layout,) uint8, set where a voxel is marked
+    marks   : (voxels of the layout,) uint8
+    touched : (blocks of the layout,) uint8, set where a voxel is marked, or empty: then nothing is noted
     """
+    noting = touched.shape[0] > 0
     per_voxel = 1.0 / voxel_size
     o0 = np.int64(np.floor(origin[0] * per_voxel))
     o1 = np.int64(np.floor(origin[1] * per_voxel))
@@ -138,7 +132,8 @@ def mark_beams(
             for _ in range(steps):
                 at = a + b + c
                 marks[at] = MISS
-                touched[at >> 9] = 1
+                if noting:
+                    touched[at >> 9] = 1
                 if t0 < t1:
                     if t0 < t2:
                         t0 += step0
@@ -180,7 +175,8 @@ def mark_ends(
             at += offsets[1, np.int64(np.floor(ends[n, 1] * per_voxel)) - 8 * layout[1]]
             at += offsets[2, np.int64(np.floor(ends[n, 2] * per_voxel)) - 8 * layout[2]]
             marks[at] = HIT
-            touched[at >> 9] = 1
+            if touched.shape[0] > 0:
+                touched[at >> 9] = 1
 
 
 @njit(cache=True, error_model="numpy")

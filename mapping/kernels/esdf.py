@@ -33,18 +33,26 @@ def read_corners(table: Array, distance: Array, i: Int, j: Int, k: Int, corners:
         corners[4], corners[5] = stored[local + 64], stored[local + 65]
         corners[6], corners[7] = stored[local + 72], stored[local + 73]
         return True
-    beyond = (x == 7) << 2 | (y == 7) << 1 | (z == 7)  # the axes along which the next voxel is in the next block
-    for into in range(8):
-        if into & ~beyond:
-            continue
-        if into:
-            slot = lookup(table, (i >> 3) + (into >> 2), (j >> 3) + ((into >> 1) & 1), (k >> 3) + (into & 1))
-            if slot < 0:
-                return False
-        for corner in range(8):
-            if corner & beyond == into:
-                a, b, c = (x + (corner >> 2)) & 7, (y + ((corner >> 1) & 1)) & 7, (z + (corner & 1)) & 7
-                corners[corner] = distance[slot, a << 6 | b << 3 | c]
+    # Along an axis on which the next voxel is in the next block, so is the block of half of the corners.
+    bi, bj, bk = i >> 3, j >> 3, k >> 3
+    s1 = lookup(table, bi, bj, bk + 1) if z == 7 else slot
+    s2 = lookup(table, bi, bj + 1, bk) if y == 7 else slot
+    s3 = (lookup(table, bi, bj + 1, bk + 1) if y == 7 else s1) if z == 7 else s2
+    s4, s5, s6, s7 = slot, s1, s2, s3
+    if x == 7:
+        s4 = lookup(table, bi + 1, bj, bk)
+        s5 = lookup(table, bi + 1, bj, bk + 1) if z == 7 else s4
+        s6 = lookup(table, bi + 1, bj + 1, bk) if y == 7 else s4
+        s7 = (lookup(table, bi + 1, bj + 1, bk + 1) if y == 7 else s5) if z == 7 else s6
+    if min(min(s1, s2), min(s3, s4)) < 0 or min(s5, min(s6, s7)) < 0:
+        return False
+    x0, x1 = x << 6, ((x + 1) & 7) << 6
+    y0, y1 = y << 3, ((y + 1) & 7) << 3
+    z1 = (z + 1) & 7
+    corners[0], corners[1] = distance[slot, x0 | y0 | z], distance[s1, x0 | y0 | z1]
+    corners[2], corners[3] = distance[s2, x0 | y1 | z], distance[s3, x0 | y1 | z1]
+    corners[4], corners[5] = distance[s4, x1 | y0 | z], distance[s5, x1 | y0 | z1]
+    corners[6], corners[7] = distance[s6, x1 | y1 | z], distance[s7, x1 | y1 | z1]
     return True
 
 
