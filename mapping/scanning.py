@@ -77,12 +77,12 @@ def _cast_near(
     beams.mark_beams(origin, ends, voxel_size_m, layout, offsets, marks, noted)
     beams.mark_ends(ends, whole, voxel_size_m, layout, offsets, marks, noted)
     rows = np.flatnonzero(noted) if len(noted) else np.arange(n_blocks)
-    kinds, marks = np.empty(len(rows), np.uint8), marks.reshape(-1, BLOCK_VOXELS)
-    occupancy.sort_marks(marks, rows, kinds)
+    kinds, of_blocks = np.empty(len(rows), np.uint8), marks.reshape(-1, BLOCK_VOXELS)
+    occupancy.sort_marks(of_blocks, rows, kinds)
     marked = np.flatnonzero(kinds)
     rows = rows[marked]
     blocks = np.stack(np.unravel_index(rows, shape), axis=1) + layout[:3]
-    return Marks(blocks.astype(np.int32), rows, marks, kinds[marked])
+    return Marks(blocks.astype(np.int32), rows, of_blocks, kinds[marked])
 
 
 def _cast_far(origin: Array, ends: Array, whole: Array, voxel_size_m: float) -> Marks:
