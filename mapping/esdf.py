@@ -207,7 +207,9 @@ class EsdfMap(MapLayer):
         if len(points) <= esdf.POINTS:  # starting threads would take longer
             esdf.interpolate_some(*field, 0, len(points), values, gradients)
         else:
-            esdf.interpolate(*field, values, gradients)
+            order = np.empty(len(points), np.int32)
+            esdf.sort_by_place(points, esdf.CELL * self.voxel_size_m, order)
+            esdf.interpolate(*field, order, values, gradients)
         return (values, gradients) if gradient else values
 
 

@@ -16,6 +16,9 @@ Float: TypeAlias = Any
 
 POINTS = 2048
 """Points that one thread looks up at a time."""
+GROUPS = 4096
+CELL = 16
+"""Edge [voxels] of the cells whose points are looked up together."""
 
 
 @njit(cache=True)
@@ -96,12 +99,47 @@ def interpolate_some(
             gradients[n, 2] = along_z * per_voxel
 
 
+@njit(cache=True)
+def sort_by_place(p_map: Array, cell_size: Float, order: Array) -> None:
+    """Order points (n, 3) [m] so that those of one cell of the map follow each other: fills order (n,) int32.
+
+    Points that are far apart may fall into one group, too: it is not an order of cells, but one that the cache likes.
+    """
+    per_cell = 1.0 / cell_size
+    n_points = p_map.shape[0]
+    group = np.empty(n_points, np.int32)
+    start = np.zeros(GROUPS + 1, np.int64)
+    for n in range(n_points):
+        x, y, z = p_map[n, 0] * per_cell, p_map[n, 1] * per_cell, p_map[n, 2] * per_cell
+        group[n] = 0
+        if abs(x) < BLOCK_LIMIT and abs(y) < BLOCK_LIMIT and abs(z) < BLOCK_LIMIT:  # not NaN either
+            i, j, k = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
+            group[n] = (i * 73856093 ^ j * 19349669 ^ k * 83492791) & (GROUPS - 1)
+        start[group[n] + 1] += 1
+    for g in range(GROUPS):
+        start[g + 1] += start[g]
+    for n in range(n_points):
+        order[start[group[n]]] = n
+        start[group[n]] += 1
+
+
 @njit(cache=True, parallel=True)
 def interpolate(
-    table: Array, distance: Array, voxel_size: Float, p_map: Array, values: Array, gradients: Array
+    table: Array, distance: Array, voxel_size: Float, p_map: Array, order: Array, values: Array, gradients: Array
 ) -> None:
-    """`interpolate_some` for all points, many at a time."""
+    """`interpolate_some` for all points in the given order (n,), many at a time."""
     n_points = p_map.shape[0]
+    with_gradient = gradients.shape[0] > 0
     for part in prange((n_points + POINTS - 1) // POINTS):
-        last = min((part + 1) * POINTS, n_points)
-        interpolate_some(table, distance, voxel_size, p_map, part * POINTS, last, values, gradients)
+        first, last = part * POINTS, min((part + 1) * POINTS, n_points)
+        points, found = np.empty((POINTS, 3)), np.empty(POINTS)
+        slopes = np.empty((POINTS if with_gradient else 0, 3))
+        for m in range(first, last):
+            for axis in range(3):
+                points[m - first, axis] = p_map[order[m], axis]
+        interpolate_some(table, distance, voxel_size, points, 0, last - first, found, slopes)
+        for m in range(first, last):
+            values[order[m]] = found[m - first]
+            if with_gradient:
+                for axis in range(3):
+                    gradients[order[m], axis] = slopes[m - first, axis]
