@@ -6,11 +6,13 @@ import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
 import scenegraph
+from mapping import read_octomap
 from reasoning.knowledge import KnowledgeBase
 from scenegraph.cli import app
 from scenegraph.config import WorldConfig
@@ -20,6 +22,7 @@ from scenegraph.world import World
 from tests.support.corners import kitchen_corner
 from tests.support.homes import home
 from tests.support.net import free_endpoint
+from tests.support.rooms import SMALL_CAMERA, TOUR, Room
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -30,7 +33,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
 
 
-FIRST, OWN_CAMERA, CLIENT, WITHOUT_US = blocks("python")
+FIRST, OWN_CAMERA, CLIENT, WITHOUT_US, LAYERS = blocks("python")
 
 
 def commands() -> list[list[str]]:
@@ -80,6 +83,31 @@ def test_the_programs_against_a_server_run(monkeypatch, capsys):
         assert "'truth':" in told
         exec(compile(CLIENT, "README", "exec"), {})
         assert "things at revision" in capsys.readouterr().out
+
+
+def test_the_map_layers_work_on_their_own_as_the_readme_says(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    pose, room = TOUR[0], Room()
+    depth = room.depth(pose, SMALL_CAMERA)
+    given = {
+        "p_sensor": room.scan(pose, 2000),
+        "T_map_sensor": pose,
+        "depth": depth,
+        "intrinsics": SMALL_CAMERA,
+        "T_map_camera": pose,
+        "color": np.full((*depth.shape, 3), 128, np.uint8),
+        "origin": pose.translation,
+        "directions": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.2]],
+        "points": pose.translation[None],
+        "footprint": [[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]],
+        "path": [[*pose.translation, 0.0]],
+    }
+    exec(compile(LAYERS, "README", "exec"), given)
+    assert np.isfinite(given["distance"]).all()
+    assert given["report"].clearance_m.shape == (1,)
+    read_octomap("map.bt").write("again.bt")
+    assert Path("again.bt").read_bytes() == Path("map.bt").read_bytes()
+    assert Path("mesh.ply").stat().st_size > 1000
 
 
 def test_the_rules_of_the_readme_are_accepted(tmp_path):
