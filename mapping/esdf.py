@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from mapping.errors import InvalidParameter
 from mapping.grid import ADDRESSABLE_VOXELS, BLOCK_EDGE, BlockStore, as_points, read_only
 from mapping.kernels import esdf, mend_classes, mend_crossings, nearest, sites
-from mapping.layer import Changed, MapLayer, require
+from mapping.layer import BlockLayer, Changed, require
 from mapping.occupancy import OccupancyMap
 from mapping.tsdf import TsdfMap
 
@@ -20,7 +20,7 @@ Array: TypeAlias = NDArray[Any]
 _MOST_CELLS = 1 << 22  # blocks in the box of what is mended at once; larger regions are done in parts
 
 
-class EsdfMap(MapLayer):
+class EsdfMap(BlockLayer):
     """Signed distance [m] from each voxel that its source knows to the nearest surface, capped.
 
     source        an `OccupancyMap` (surfaces are the faces between occupied and other voxels) or a `TsdfMap` (surfaces

@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import BlockStore
 from mapping.kernels import votes as kernels
-from mapping.layer import MapLayer, require
+from mapping.layer import BlockLayer, require
 from mapping.segmentation import Segmentation
 from mapping.semantics import camera_row, pose_rows
 
@@ -76,7 +76,7 @@ class InstanceChange:
     merged: dict[int, int]
 
 
-class InstanceMap(MapLayer):
+class InstanceMap(BlockLayer):
     """Votes of fine voxels for instances, with the mean of the points that fell into each."""
 
     kind = "instances"

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeAlias
+from typing import Any, ClassVar, Protocol, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,6 +43,22 @@ class Changed:
         return Changed(np.unique(np.concatenate([self.blocks, other.blocks]), axis=0), self.block_size_m)
 
 
+class Store(Protocol):
+    """What keeps a layer's voxels, in blocks."""
+
+    voxel_size_m: float
+
+    @property
+    def block_size_m(self) -> float: ...
+    @property
+    def block_ijk(self) -> NDArray[np.int32]: ...
+    @property
+    def memory_bytes(self) -> int: ...
+    def changed_since(self, revision: int) -> NDArray[np.int32]: ...
+    def state(self) -> dict[str, Array]: ...
+    def restore(self, state: Mapping[str, Array], revision: int) -> None: ...
+
+
 class MapLayer(ABC):
     """A map layer on hashed blocks.
 
@@ -54,7 +70,7 @@ class MapLayer(ABC):
     kind: ClassVar[str]
     """Name of the layer in files."""
 
-    store: BlockStore
+    store: Store
     revision: int = 0
 
     @property
@@ -86,12 +102,6 @@ class MapLayer(ABC):
     def changed_since(self, revision: int) -> Changed:
         """The blocks that changed after `revision` (0: all that ever changed)."""
         return Changed(self.store.changed_since(revision), self.block_size_m)
-
-    def _note(self, slots: Array) -> Changed:
-        """Count one update that changed the blocks in `slots` (K,), each named once."""
-        self.revision += 1
-        self.store.changed_at[slots] = self.revision
-        return Changed(self.block_ijk[slots], self.block_size_m)
 
     # -- files --------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:
@@ -135,6 +145,18 @@ class MapLayer(ABC):
         except (ValueError, EOFError, zlib.error, zipfile.BadZipFile) as error:
             raise MappingError(f"{path}: not a saved map: {error}") from None
         return cls.from_state(state)
+
+
+class BlockLayer(MapLayer):
+    """A layer whose voxels lie in a `BlockStore`."""
+
+    store: BlockStore
+
+    def _note(self, slots: Array) -> Changed:
+        """Count one update that changed the blocks in `slots` (K,), each named once."""
+        self.revision += 1
+        self.store.changed_at[slots] = self.revision
+        return Changed(self.block_ijk[slots], self.block_size_m)
 
 
 def require(name: str, value: float, low: float, high: float, unit: str = "") -> float:

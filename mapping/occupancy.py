@@ -61,7 +61,7 @@ class OccupancyMap(MapLayer):
     """
 
     kind: ClassVar[str] = "occupancy"
-    store: CellStore  # type: ignore[assignment]  # a store of its own kind, with what the contract asks of a store
+    store: CellStore
 
     octomap: OctoMapTree | None = None
     """The OctoMap file that the map was read from: exact log-odds and colours of what has not changed since."""

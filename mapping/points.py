@@ -14,7 +14,7 @@ from mapping.errors import InvalidObservation, InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import BlockStore, as_points, read_only
 from mapping.kernels import points as kernels
-from mapping.layer import Changed, MapLayer, require, require_whole
+from mapping.layer import BlockLayer, Changed, require, require_whole
 from mapping.view import as_pose
 
 Array: TypeAlias = NDArray[Any]
@@ -69,7 +69,7 @@ def color_of_points(depth: Array, color: Array) -> Array:
     return np.take(image.reshape(-1, 3), np.flatnonzero(measured), axis=0)  # eight times as fast as image[measured]
 
 
-class PointMap(MapLayer):
+class PointMap(BlockLayer):
     """A point cloud of bounded density: measured points, not their means, at most `max_points` a voxel (after the voxel
     maps of Dellenbach et al., CT-ICP, ICRA 2022, and Vizzo et al., KISS-ICP, RA-L 2023).
 

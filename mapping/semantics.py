@@ -15,7 +15,7 @@ from mapping.errors import InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import BlockStore, as_points, ijk_to_centre, join_ijk, point_to_ijk
 from mapping.kernels import votes as kernels
-from mapping.layer import Changed, MapLayer, require
+from mapping.layer import BlockLayer, Changed, require
 
 if TYPE_CHECKING:
     from mapping.instances import InstanceMap
@@ -39,7 +39,7 @@ def pose_rows(T_map_camera: SE3) -> Array:
     return np.ascontiguousarray(T_map_camera.matrix[:3])
 
 
-class SemanticMap(MapLayer):
+class SemanticMap(BlockLayer):
     """Class votes per voxel.
 
     voxel_size_m  edge of a voxel [m]

@@ -14,7 +14,7 @@ from mapping.errors import InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import BlockStore, as_points
 from mapping.kernels import surfels as kernels
-from mapping.layer import Changed, MapLayer, require, require_whole
+from mapping.layer import BlockLayer, Changed, require, require_whole
 from mapping.points import SortedPoints, as_colors, color_of_points
 from mapping.view import as_pose
 
@@ -56,7 +56,7 @@ class Surfels:
         return np.asarray(np.divide(middle - low, high, out=np.zeros(len(self)), where=high > 0.0))
 
 
-class SurfelMap(MapLayer):
+class SurfelMap(BlockLayer):
     """Mean and covariance of the points of each voxel: the normal distributions transform (Biber & Straßer, IROS 2003;
     Magnusson 2009), which is a surfel where the points lie on a surface.
 

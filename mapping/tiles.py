@@ -14,7 +14,7 @@ from mapping.errors import InvalidObservation, InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import BLOCK_EDGE, BlockStore, as_points, new_table, read_only
 from mapping.kernels import tiles as kernels
-from mapping.layer import Changed, MapLayer, require
+from mapping.layer import BlockLayer, Changed, require
 from mapping.view import as_depth_m, as_pose
 
 Array: TypeAlias = NDArray[Any]
@@ -96,7 +96,7 @@ class Grouped(NamedTuple):
     quadratic: NDArray[np.float64]
 
 
-class TileLayer(MapLayer):
+class TileLayer(BlockLayer):
     """A layer on the ground: 8 × 8 cells a block, found by index (i, j, 0); `voxel_size_m` is the edge of a cell.
 
     In a `Changed` of such a layer only x and y mean something: a tile stands for all that is above it.

@@ -12,7 +12,7 @@ from mapping.errors import InvalidObservation, InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import BLOCK_VOXELS, BlockStore, as_blocks, as_points, new_table, read_only
 from mapping.kernels import range_tsdf, raycast, surface, tsdf, visibility
-from mapping.layer import Changed, MapLayer, require
+from mapping.layer import BlockLayer, Changed, require
 from mapping.range_view import RangeView
 from mapping.sensors import LidarModel
 from mapping.view import DepthView, as_pose
@@ -28,7 +28,7 @@ _NO_COLORS = np.empty((0, 0, 3), np.uint16)
 _CHUNK = 256  # blocks sampled at once: bounds the memory of `surface`
 
 
-class TsdfMap(MapLayer):
+class TsdfMap(BlockLayer):
     """Signed distance to the nearest surface along the viewing ray, truncated (Curless & Levoy 1996; Newcombe et al.,
     KinectFusion, ISMAR 2011), positive before surfaces and negative behind them.
 
