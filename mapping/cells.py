@@ -26,6 +26,11 @@ class Cells(NamedTuple):
     value: NDArray[np.int8]
 
 
+def _new_table(n: int) -> NDArray[np.int64]:
+    """An empty hash table with room for `n` cells."""
+    return np.full((1 << max(6, (3 * n // 2 - 1).bit_length()), 2), -1, np.int64)
+
+
 class CellStore:
     """Voxels of one byte, −128 for *unknown*: hashed 8³ blocks, and above them uniform cells of 2^L blocks an edge.
 
@@ -146,15 +151,20 @@ class CellStore:
             self.make_room()
 
     def fill(self, cell: Cells, revision: int) -> None:
-        """Add uniform cells where nothing is known yet; raises `MappingError` where something is."""
+        """Add uniform cells where nothing is known yet; raises `MappingError`, and adds none, where something is or two
+        of them overlap."""
         for level in np.unique(cell.level):
             if level > cells.MAX_LEVEL:
                 raise InvalidParameter(f"level: expected 0 … {cells.MAX_LEVEL}, got {level}")
+        in_use = self._in_use()
+        ijk = np.concatenate([self._used(self._ijk)[in_use], cell.ijk])
+        level = np.concatenate([self._used(self._level)[in_use], cell.level])
+        if not cells.distinct(ijk, level, _new_table(len(ijk))):
+            raise MappingError("cells can only be added where nothing is known yet, each once")
         missing = len(cell.ijk) + 8 * (cells.MAX_LEVEL + 1) + int(self.counts[cells.N_ROWS]) - len(self._ijk)
         if missing > 0:
             self._grow_rows(len(self._ijk) + missing)
-        if not cells.fill_cells(*self.rows, self.counts, cell.ijk, cell.level, cell.value, revision):
-            raise MappingError("cells can only be added where nothing is known yet")
+        cells.fill_cells(*self.rows, self.counts, cell.ijk, cell.level, cell.value, revision)
 
     def make_room(self) -> None:
         """Make sure that at least one more block can be written."""
@@ -174,7 +184,7 @@ class CellStore:
 
         self._ijk, self._level, self._slot = grown(self._ijk), grown(self._level), grown(self._slot)
         self._changed_at, self._free_rows = grown(self._changed_at), grown(self._free_rows)
-        self.table = np.full((1 << max(6, (3 * n // 2 - 1).bit_length()), 2), -1, np.int64)
+        self.table = _new_table(n)
         cells.refill(self.table, self._ijk, self._level, used)
 
     def _grow_payload(self, n: int) -> None:

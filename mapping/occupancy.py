@@ -153,13 +153,7 @@ class OccupancyMap(MapLayer):
     def integrate_view(self, view: DepthView) -> Changed:
         """Fuse a depth image that has been prepared already."""
         blocks, kinds = view.blocks(self.block_size_m, front_m=self.voxel_size_m, back_m=0.0, with_free=True)
-        mixed, free = blocks[kinds == visibility.MIXED], blocks[kinds == visibility.FREE]
-        scan = ScanBlocks(mixed, len(mixed) + 256)
-        occupancy.mark_free(mixed, self.voxel_size_m, view.reach, view.camera, scan.marks)
-        voxels = np.empty((view.reach.size, 3), np.int32)
-        n_hits = occupancy.list_hits(view.reach, view.camera, view.pose, self.voxel_size_m, voxels)
-        scan.mark_hits(voxels[:n_hits])
-        return self._fold(scan.done(free))
+        return self._fuse(view, blocks, kinds)
 
     def integrate_range_image(self, ranges: Array, model: LidarModel, T_map_sensor: SE3 | ArrayLike) -> Changed:
         """Fuse one lidar range image (rows, columns) float32 [m], 0 = not measured, infinity = nothing there; returns
@@ -175,6 +169,10 @@ class OccupancyMap(MapLayer):
         """Fuse a lidar range image that has been prepared already."""
         size = self.voxel_size_m
         blocks, kinds = view.blocks(self.block_size_m, front_m=size, back_m=0.0, touch_m=0.5 * size, with_free=True)
+        return self._fuse(view, blocks, kinds)
+
+    def _fuse(self, view: DepthView | RangeView, blocks: NDArray[np.int32], kinds: NDArray[np.uint8]) -> Changed:
+        """Fuse a prepared image, of which `blocks` (n, 3) and their `kinds` (n,) say where it saw anything."""
         mixed, free = blocks[kinds == visibility.MIXED], blocks[kinds == visibility.FREE]
         scan = ScanBlocks(mixed, len(mixed) + 256)
         view.mark_free(mixed, self.voxel_size_m, scan.marks)
@@ -226,11 +224,11 @@ class OccupancyMap(MapLayer):
         """Add whole cubes of the same evidence (K,) where nothing is known yet.
 
         level (K,): a cube has 2^level blocks along an edge, 0 … 7; cell_ijk (K, 3): its index in units of that edge.
-        Raises `MappingError` where something is known.
+        Raises `MappingError` where something is known, or two of the cubes overlap; then nothing is added.
         """
-        self.revision += 1
         cell = Cells(as_blocks(cell_ijk), np.asarray(level, np.uint8), np.asarray(evidence, np.int8))
-        self.store.fill(cell, self.revision)
+        self.store.fill(cell, self.revision + 1)
+        self.revision += 1
 
     def clear_box(self, lo: ArrayLike, hi: ArrayLike) -> Changed:
         """Forget the voxels whose centres lie in the box from corner `lo` to `hi` (3,) [m]: they become unknown."""
@@ -289,10 +287,10 @@ class OccupancyMap(MapLayer):
         rule  : what a cube is: "max", as its most occupied voxel, so that nothing in it is missed, or "mean", the mean
                 probability of its known voxels (Hornung et al. 2013, §3.3)
         """
-        if depth == FINEST:
-            return np.asarray(self.probabilities[self._values(p_map).view(np.uint8)])
         if rule not in ("max", "mean"):
             raise InvalidParameter(f'rule: expected "max" or "mean", got {rule!r}')
+        if depth == FINEST:
+            return np.asarray(self.probabilities[self._values(p_map).view(np.uint8)])
         highest, mean = octree.sum_up(self, as_points(p_map), depth)
         return mean if rule == "mean" else np.asarray(self.probabilities[highest.view(np.uint8)])
 

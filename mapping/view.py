@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from mapping.errors import InvalidObservation
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import read_only
-from mapping.kernels import visibility
+from mapping.kernels import occupancy, visibility
 
 Array: TypeAlias = NDArray[Any]
 
@@ -103,6 +103,16 @@ class DepthView:
             if count <= n:
                 return blocks[:count], kinds[:count]
             n = count
+
+    def mark_free(self, blocks: NDArray[np.int32], voxel_size_m: float, marks: NDArray[np.uint8]) -> None:
+        """Mark each voxel of blocks (n, 3) that the image sees free, see `mapping.kernels.occupancy`; fills marks
+        (n, 512)."""
+        occupancy.mark_free(blocks, voxel_size_m, self.reach, self.camera, marks)
+
+    def hits(self, voxel_size_m: float) -> NDArray[np.int32]:
+        """The voxels (n, 3) that a surface point lies in; some may be named more than once."""
+        voxels = np.empty((self.reach.size, 3), np.int32)
+        return voxels[: occupancy.list_hits(self.reach, self.camera, self.pose, voxel_size_m, voxels)]
 
     def _roots(self, block_size_m: float, back_m: float) -> tuple[NDArray[np.int64], int]:
         """The cells (r, 3) of 2^level blocks along an edge that the frustum's bounding box meets, and that level."""

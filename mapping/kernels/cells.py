@@ -161,6 +161,14 @@ def drop_row(table: Array, ijk: Array, level: Array, free_rows: Array, counts: A
     counts[N_FREE_ROWS] += 1
 
 
+@njit(cache=True, inline="always")
+def has_room(ijk: Array, payload: Array, counts: Array) -> bool:
+    """Whether any one block can be given voxels of its own, even if a cell must be split down to it."""
+    rows_left = ijk.shape[0] - counts[N_ROWS]
+    slots_left = counts[N_FREE_SLOTS] + payload.shape[0] - counts[N_SLOTS]
+    return bool(rows_left >= 8 * (MAX_LEVEL + 1) and slots_left > 0)
+
+
 @njit(cache=True)
 def take_slot(payload: Array, free_slots: Array, counts: Array, value: Int) -> Int:
     """A row of `payload`, filled with `value`, in place; −1 where there is no room."""
@@ -254,10 +262,7 @@ def write_blocks(
     Equal voxels are kept as one. Returns the number to go on with when room ran out, or n.
     """
     for n in range(start, block_ijk.shape[0]):
-        if (
-            counts[N_ROWS] + 8 * (MAX_LEVEL + 1) > ijk.shape[0]
-            or counts[N_FREE_SLOTS] + payload.shape[0] - counts[N_SLOTS] == 0
-        ):
+        if not has_room(ijk, payload, counts):
             return n
         bi, bj, bk = np.int64(block_ijk[n, 0]), np.int64(block_ijk[n, 1]), np.int64(block_ijk[n, 2])
         first = np.int64(values[n, 0])
@@ -312,22 +317,16 @@ def copy_box(box: Array, table: Array, slot: Array, payload: Array, top: Int, fi
 def fill_cells(
     table: Array, ijk: Array, level: Array, slot: Array, changed_at: Array, free_rows: Array, counts: Array,
     cell_ijk: Array, cell_level: Array, cell_value: Array, revision: Int,
-) -> bool:  # fmt: skip
-    """Add uniform cells, in place, and merge what can be; False as soon as one would lie in a cell that is there.
-
-    There must be room. A cell about smaller ones that are there is not noticed: name cells that do not overlap.
-    """
+) -> None:  # fmt: skip
+    """Add uniform cells that overlap no other, in place, and merge what can be. There must be room."""
     for n in range(cell_ijk.shape[0]):
         at = np.int64(cell_level[n])
         i, j, k = np.int64(cell_ijk[n, 0]), np.int64(cell_ijk[n, 1]), np.int64(cell_ijk[n, 2])
-        if find_cell(table, counts[TOP], i << at, j << at, k << at) >= 0:
-            return False
         row = add_row(
             table, ijk, level, slot, changed_at, free_rows, counts, at, i, j, k, uniform(np.int64(cell_value[n])),
             revision,
         )  # fmt: skip
         merge_up(table, ijk, level, slot, changed_at, free_rows, counts, row)
-    return True
 
 
 @njit(cache=True)

@@ -15,14 +15,12 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from mapping.kernels.cells import (
-    MAX_LEVEL,
     N_FREE_SLOTS,
-    N_ROWS,
-    N_SLOTS,
     TOP,
     UNKNOWN,
     add_row,
     find_cell,
+    has_room,
     merge_up,
     split_down,
     take_slot,
@@ -65,6 +63,23 @@ def mark_free(blocks: Array, voxel_size: Float, reach: Array, camera: Array, mar
             marks[n, w] = np.uint8(MISS) if (pixels[w] >= 0) & (z[w] < d) else np.uint8(0)
 
 
+@njit(cache=True, inline="always")
+def list_row(reach: Array, row_i: Array, row_j: Array, row_k: Array, voxels: Array, count: Int) -> Int:
+    """Add the voxels of one row of pixels to `voxels` (n, 3), of which `count` are in use, in place; returns how many
+    are then. Pixels (w,) that met nothing (reach ≤ 0) have none, neighbours that share a voxel give it once."""
+    last = -1
+    for u in range(reach.shape[0]):
+        if reach[u] > np.float32(0.0):
+            if last >= 0 and row_i[u] == row_i[last] and row_j[u] == row_j[last] and row_k[u] == row_k[last]:
+                continue
+            voxels[count, 0] = row_i[u]
+            voxels[count, 1] = row_j[u]
+            voxels[count, 2] = row_k[u]
+            count += 1
+            last = u
+    return count
+
+
 @njit(cache=True)
 def list_hits(reach: Array, camera: Array, pose: Array, voxel_size: Float, voxels: Array) -> Int:
     """List the voxel of each pixel's surface point, row by row; pixels in a row that share a voxel give it once.
@@ -87,16 +102,7 @@ def list_hits(reach: Array, camera: Array, pose: Array, voxel_size: Float, voxel
             row_i[u] = np.int32(np.floor((d * (a0 * u + a1) + pose[9]) * per_voxel))
             row_j[u] = np.int32(np.floor((d * (b0 * u + b1) + pose[10]) * per_voxel))
             row_k[u] = np.int32(np.floor((d * (c0 * u + c1) + pose[11]) * per_voxel))
-        last = -1
-        for u in range(width):
-            if reach[v, u] > np.float32(0.0):
-                if last >= 0 and row_i[u] == row_i[last] and row_j[u] == row_j[last] and row_k[u] == row_k[last]:
-                    continue
-                voxels[count, 0] = row_i[u]
-                voxels[count, 1] = row_j[u]
-                voxels[count, 2] = row_k[u]
-                count += 1
-                last = u
+        count = list_row(reach[v], row_i, row_j, row_k, voxels, count)
     return count
 
 
@@ -183,10 +189,7 @@ def open_blocks(
         changed[n] = False
         if kinds[n] == 0:
             continue
-        if (
-            counts[N_ROWS] + 8 * (MAX_LEVEL + 1) > ijk.shape[0]
-            or counts[N_FREE_SLOTS] + payload.shape[0] - counts[N_SLOTS] == 0
-        ):
+        if not has_room(ijk, payload, counts):
             return n
         bi, bj, bk = np.int64(blocks[n, 0]), np.int64(blocks[n, 1]), np.int64(blocks[n, 2])
         row = find_cell(table, counts[TOP], bi, bj, bk)

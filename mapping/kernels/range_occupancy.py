@@ -13,7 +13,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from mapping.kernels.lidar import BESIDE, LOCAL_4, NEAREST_AHEAD, aim, aim_ahead
-from mapping.kernels.occupancy import MISS
+from mapping.kernels.occupancy import MISS, list_row
 from mapping.kernels.range_visibility import (
     AHEAD_X,
     AHEAD_Y,
@@ -114,16 +114,7 @@ def list_hits(reach: Array, directions: Array, pose: Array, voxel_size: Float, v
             row_i[u] = np.int32(np.floor((d * (a0 * cosines[u] + a1 * sines[u] + a2) + pose[9]) * per_voxel))
             row_j[u] = np.int32(np.floor((d * (b0 * cosines[u] + b1 * sines[u] + b2) + pose[10]) * per_voxel))
             row_k[u] = np.int32(np.floor((d * (c0 * cosines[u] + c1 * sines[u] + c2) + pose[11]) * per_voxel))
-        last = -1
-        for u in range(columns):
-            if reach[row, u] > np.float32(0.0):
-                if last >= 0 and row_i[u] == row_i[last] and row_j[u] == row_j[last] and row_k[u] == row_k[last]:
-                    continue
-                voxels[count, 0] = row_i[u]
-                voxels[count, 1] = row_j[u]
-                voxels[count, 2] = row_k[u]
-                count += 1
-                last = u
+        count = list_row(reach[row], row_i, row_j, row_k, voxels, count)
     return count
 
 

@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.kernels.lidar import ATAN_32, ATAN_ERROR, angle_of
-from mapping.kernels.visibility import FREE, MIXED
+from mapping.kernels.visibility import FREE, MIXED, list_cube
 
 Array: TypeAlias = NDArray[Any]
 Int: TypeAlias = Any
@@ -292,14 +292,5 @@ def list_blocks(
                     stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] = ci, cj, ck, level
                     top += 1
                     continue
-                span = 1 << level
-                for di in range(span):
-                    for dj in range(span):
-                        for dk in range(span):
-                            if count < blocks.shape[0]:
-                                blocks[count, 0] = ci * span + di
-                                blocks[count, 1] = cj * span + dj
-                                blocks[count, 2] = ck * span + dk
-                                kinds[count] = kind
-                            count += 1
+                count = list_cube(ci, cj, ck, level, kind, blocks, kinds, count)
     return count

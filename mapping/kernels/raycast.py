@@ -104,6 +104,12 @@ def bound_tiles(blocks: Array, boxes: Array, voxel_size: Float, camera: Array, f
                 bounds[r, c, 1] = max(bounds[r, c, 1], z_high)
 
 
+@njit(cache=True, inline="always")
+def step_ahead(z: Float, step: Float, end: Float) -> Float:
+    """The next place to look at on a ray: never past `end` without a look at it, and past all once it was."""
+    return min(z + step, end) if z < end else np.inf
+
+
 @njit(cache=True, parallel=True, error_model="numpy")
 def cast_view(
     table: Array,
@@ -145,7 +151,7 @@ def cast_view(
             r2 = (pose[6] * a + pose[7] * b + pose[8]) * per_voxel
             per_length = 1.0 / stretch  # of z
             before, behind, z_before, z_behind, tries = np.nan, np.nan, z, z, 0
-            while z < end:
+            while z <= end:
                 p0, p1, p2 = o0 + z * r0, o1 + z * r1, o2 + z * r2
                 if not behind < 0.0:
                     # Far from a surface the nearest voxel says enough.
@@ -157,21 +163,21 @@ def cast_view(
                         leave = ((last_i + (r0 > 0.0)) * 8.0 - 0.5 - p0) / r0 if r0 != 0.0 else np.inf
                         leave = min(leave, ((last_j + (r1 > 0.0)) * 8.0 - 0.5 - p1) / r1 if r1 != 0.0 else np.inf)
                         leave = min(leave, ((last_k + (r2 > 0.0)) * 8.0 - 0.5 - p2) / r2 if r2 != 0.0 else np.inf)
-                        z += max(leave, 0.0) + 0.01 * voxel_size * per_length
+                        z = step_ahead(z, max(leave, 0.0) + 0.01 * voxel_size * per_length, end)
                         before = np.nan
                         continue
                     local = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
                     nearest = np.float64(distance[slot, local])
                     if not weight[slot, local] > np.float32(0.0):
-                        z += voxel_size * per_length
+                        z = step_ahead(z, voxel_size * per_length, end)
                         before = np.nan
                         continue
                     if nearest > 2.0 * voxel_size:
                         before, z_before = nearest, z
-                        z += CAUTION * (nearest - voxel_size) * per_length
+                        z = step_ahead(z, CAUTION * (nearest - voxel_size) * per_length, end)
                         continue
                     if nearest < -2.0 * voxel_size and not before >= 0.0:
-                        z -= CAUTION * (nearest + voxel_size) * per_length
+                        z = step_ahead(z, -CAUTION * (nearest + voxel_size) * per_length, end)
                         continue
                 i, j, k = np.int64(np.floor(p0)), np.int64(np.floor(p1)), np.int64(np.floor(p2))
                 if i >> 3 != last_i or j >> 3 != last_j or k >> 3 != last_k:
@@ -185,13 +191,13 @@ def cast_view(
                         z_behind, behind = z, here
                 elif here >= 0.0:
                     before, z_before = here, z
-                    z += max(CAUTION * here, voxel_size) * per_length
+                    z = step_ahead(z, max(CAUTION * here, voxel_size) * per_length, end)
                     continue
                 elif here < 0.0 and before >= 0.0:
                     z_behind, behind, tries = z, here, 0
                 else:
                     before = np.nan
-                    z += voxel_size * per_length
+                    z = step_ahead(z, voxel_size * per_length, end)
                     continue
                 between = (z_behind - z_before) * stretch * per_voxel
                 if not here > -np.inf or (
@@ -213,7 +219,7 @@ def cast_view(
                     for axis in range(3):
                         normals[v, u, axis] = gradient[axis] / norm
                     break
-                z = z_behind + 0.5 * voxel_size * per_length  # something unknown, or an edge between two surfaces
+                z = step_ahead(z_behind, 0.5 * voxel_size * per_length, end)  # something unknown, or an edge between two surfaces
                 before = behind = np.nan
 
 

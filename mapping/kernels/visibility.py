@@ -260,6 +260,23 @@ def list_roots(
     return count, level
 
 
+@njit(cache=True, inline="always")
+def list_cube(i: Int, j: Int, k: Int, level: Int, kind: Int, blocks: Array, kinds: Array, count: Int) -> Int:
+    """Add the blocks of cell (i, j, k), of 2^level blocks along an edge, to `blocks` (n, 3) and `kinds` (n,), of which
+    `count` are in use, in place; returns how many are then. Beyond n they are counted and not written."""
+    span = 1 << level
+    for di in range(span):
+        for dj in range(span):
+            for dk in range(span):
+                if count < blocks.shape[0]:
+                    blocks[count, 0] = i * span + di
+                    blocks[count, 1] = j * span + dj
+                    blocks[count, 2] = k * span + dk
+                    kinds[count] = kind
+                count += 1
+    return count
+
+
 @njit(cache=True)
 def list_blocks(
     pyramid: Array,
@@ -308,14 +325,5 @@ def list_blocks(
                     stack[top, 3] = level - 1
                     top += 1
                 continue
-            span = 1 << level
-            for di in range(span):
-                for dj in range(span):
-                    for dk in range(span):
-                        if count < blocks.shape[0]:
-                            blocks[count, 0] = i * span + di
-                            blocks[count, 1] = j * span + dj
-                            blocks[count, 2] = k * span + dk
-                            kinds[count] = kind
-                        count += 1
+            count = list_cube(i, j, k, level, kind, blocks, kinds, count)
     return count

@@ -106,6 +106,11 @@ def test_cells_are_added_only_where_nothing_is_known():
     assert len(layer.block_ijk) == 32**3 + 1
     with pytest.raises(MappingError, match="nothing is known"):
         layer.fill_cells([[3, 3, 3]], np.array([0]), np.array([HIT]))
+    before = contents(layer.store)
+    for about, level in ([[-1, 0, 0]], [2]), ([[9, 9, 9], [4, 4, 4]], [0, 1]):  # about a block, and about each other
+        with pytest.raises(MappingError, match="nothing is known"):
+            layer.fill_cells(about, np.array(level), np.full(len(about), HIT))
+    assert contents(layer.store) == before
     with pytest.raises(InvalidParameter, match="level"):
         layer.fill_cells([[3, 3, 3]], np.array([12]), np.array([HIT]))
 
@@ -274,9 +279,12 @@ def test_the_classes_are_the_same_whether_beams_are_kept_in_a_volume_or_in_a_has
     near, far = OccupancyMap(0.1), OccupancyMap(0.1)
     points = Room().scan(TOUR[1], 3000)
     near.integrate(points, TOUR[1])
+    noted = OccupancyMap(0.1)
+    monkeypatch.setattr("mapping.scanning._SCANNED_BLOCKS", 0)
+    noted.integrate(points, TOUR[1])
     monkeypatch.setattr("mapping.scanning._MOST_BLOCKS", 0)
     far.integrate(points, TOUR[1])
-    assert contents(near.store) == contents(far.store)
+    assert contents(near.store) == contents(far.store) == contents(noted.store)
 
 
 def test_maps_saved_before_there_were_cells_are_read():
