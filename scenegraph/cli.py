@@ -326,6 +326,16 @@ def evaluate(
     seeds: Annotated[int, typer.Option(min=1, help="How many simulated homes.")] = 10,
     first_seed: Annotated[int, typer.Option(min=0, help="The seed of the first.")] = 0,
     noise: Annotated[Literal["none", "realistic"], typer.Option(help="Of depth, labels and poses.")] = "realistic",
+    mislabelled: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="Share of things that get a wrong class in an image, drawn anew for each; with --noise none the only "
+            "fault.",
+            show_default="0.05 when realistic, else 0",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Map simulated homes and print figures against their truth."""
@@ -333,7 +343,7 @@ def evaluate(
 
     printer = Printer(json=as_json)
     with printer.progress("homes", seeds) as advance:
-        result = run(seeds, first_seed=first_seed, noise=noise, advance=advance)
+        result = run(seeds, first_seed=first_seed, noise=noise, mislabelled=mislabelled, advance=advance)
     if as_json:
         printer.document(result.as_json())
     else:

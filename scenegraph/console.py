@@ -141,9 +141,17 @@ class Printer:
             self.line(f"{status['problems']} messages were refused; their causes are on `problems`", "yellow")
 
     def figures(self, evaluation: Any) -> None:
-        """The figures of an evaluation, one a line."""
+        """The figures of an evaluation, one a line, and its label accuracy by the number of views."""
         told = evaluation.as_json()
-        self.table(f"{told['seeds']} simulated homes", ("figure", "value"), told["figures"].items())
+        noise = told["noise"]
+        faults = f", {noise['mislabelled']:.0%} of things mislabelled an image" if noise else ""
+        self.table(f"{told['seeds']} simulated homes{faults}", ("figure", "value"), told["figures"].items())
+        if told["semantics.accuracy_by_views"]:
+            self.table(
+                "labels of voxels, by the number of images that labelled them",
+                ("images", "share of voxels", "right in the map", "right in one image"),
+                (tuple(row.values()) for row in told["semantics.accuracy_by_views"]),
+            )
         for name in ("uncounted", "notes"):
             if told.get(name):
                 self.line(f"{name}: {'; '.join(map(str, told[name]))}", "dim")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from mapping.frames import FrameTree
+from mapping.geometry import SE3
 from mapping.layered import LayeredMap, MapChange
 from mapping.observations import (
     AgentPose,
@@ -58,6 +59,8 @@ class World:
         self.meaning = Meaning(self._knowledge, self.config)
         self.perception = Perception(self.map, self.labels, self.meaning)
         self._desk = DetectionDesk()
+        self.T_map_camera: SE3 | None = None
+        """Where the last image was taken from, as the map corrected its pose."""
 
     # -- observations in ----------------------------------------------------------------------------------
     def integrate(self, observation: Observation) -> Delta:
@@ -100,7 +103,8 @@ class World:
         else:
             image = self._desk.label(image, self.labels)
         change = self.map.integrate_image(image, T_map_camera, self.labels.things)
-        self._desk.keep(image, change.T_map_camera or T_map_camera)
+        self.T_map_camera = change.T_map_camera or T_map_camera
+        self._desk.keep(image, self.T_map_camera)
         return change
 
     def _integrate_scan(self, scan: Scan) -> MapChange:

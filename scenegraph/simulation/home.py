@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from mapping.observations import ClassInfo, LabelSpace, Observation, Scan
 from scenegraph.simulation.arrangement import Placed
 from scenegraph.simulation.contents import furnish
 from scenegraph.simulation.floorplan import WALL_M, DoorKind, FloorPlan, draw_floorplan
+from scenegraph.simulation.noise import Noise
 from scenegraph.simulation.shapes import Array, Color
 from scenegraph.simulation.structure import TruePlane, build_structure
 
@@ -41,8 +42,6 @@ _STRUCTURE_COLORS: dict[str, Color] = {
     "door": (140, 90, 50),
     "window": (150, 200, 240),
 }
-
-Noise = Literal["none", "realistic"]
 
 
 @dataclass(frozen=True)

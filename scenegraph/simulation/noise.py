@@ -7,11 +7,13 @@ segmenter and a laser localisation indoors.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numba import njit
 from numpy.random import Generator
 
+from mapping.errors import InvalidParameter
 from mapping.geometry import SE3
 from scenegraph.simulation.shapes import Array
 
@@ -24,9 +26,11 @@ class NoiseModel:
     dropout_px                    depth is missing this far from a depth discontinuity
     bleed_px                      masks of things grow over their neighbours by a random number of pixels in this range
     missed, mislabelled           share of things an image that are not segmented, or get a wrong class
-    confused                      share of things that always get the same wrong class
+    confused                      share of things that always get the same wrong class, one each
     position_m, rotation_rad      σ of each coordinate and of each angle of the reported pose
     range_m                       σ of a lidar's distances
+
+    Raises `InvalidParameter` on a share outside 0 … 1, a negative σ or number of pixels, or a range that is none.
     """
 
     depth_base_m: float = 0.0012
@@ -39,6 +43,21 @@ class NoiseModel:
     position_m: float = 0.01
     rotation_rad: float = float(np.deg2rad(0.5))
     range_m: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name in ("missed", "mislabelled", "confused"):
+            value = getattr(self, name)
+            if not 0.0 <= value <= 1.0:
+                raise InvalidParameter(f"{name}: expected a share of the things, 0 … 1, got {value!r}")
+        for name in ("depth_base_m", "depth_growth", "dropout_px", "position_m", "rotation_rad", "range_m"):
+            value = getattr(self, name)
+            if not 0.0 <= value < np.inf:
+                raise InvalidParameter(f"{name}: expected a number ≥ 0, got {value!r}")
+        low, high = self.bleed_px
+        if not 0 <= low <= high:
+            raise InvalidParameter(
+                f"bleed_px: expected a range of pixels (low ≤ high, both ≥ 0), got {self.bleed_px!r}"
+            )
 
     @staticmethod
     def none() -> NoiseModel:
@@ -68,6 +87,10 @@ class NoiseModel:
         if self.dropout_px:
             millimetres[grown(discontinuities(depth), self.dropout_px)] = 0
         return millimetres
+
+
+Noise: TypeAlias = Literal["none", "realistic"] | NoiseModel
+"""A noise model, or one of the two that have a name."""
 
 
 def discontinuities(depth: Array) -> Array:

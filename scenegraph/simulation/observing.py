@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,13 +24,19 @@ ROBOT = "robot"
 START_NS = 1_000_000_000
 
 
-def noise_model(noise: str | NoiseModel) -> NoiseModel:
-    """The model that a name stands for: *none* or *realistic*."""
+def noise_model(noise: str | NoiseModel, mislabelled: float | None = None) -> NoiseModel:
+    """The model that a name stands for, *none* or *realistic*; with another share of things `mislabelled` an image,
+    when it is given: *none* is then perfect but for that.
+
+    Raises `InvalidParameter` on an unknown name, or a share outside 0 … 1.
+    """
     if isinstance(noise, NoiseModel):
-        return noise
-    if noise not in ("none", "realistic"):
-        raise InvalidParameter(f"noise: expected 'none' or 'realistic', got {noise!r}")
-    return NoiseModel() if noise == "realistic" else NoiseModel.none()
+        model = noise
+    elif noise in ("none", "realistic"):
+        model = NoiseModel() if noise == "realistic" else NoiseModel.none()
+    else:
+        raise InvalidParameter(f"noise: expected 'none', 'realistic' or a NoiseModel, got {noise!r}")
+    return model if mislabelled is None else replace(model, mislabelled=mislabelled)
 
 
 def robot_description() -> RobotDescription:
@@ -75,6 +82,8 @@ def _stream(
     yield robot_description()
     rng = np.random.default_rng([home.seed, seed, 2])
     segmenter = make_segmenter(home, noise, seed)
+    if recorder is not None:
+        recorder.note_confused(segmenter)
     covariance = noise.covariance
     for k, step in enumerate(tour.steps):
         stamp_ns = START_NS + round(k * 1e9 / rate_hz)

@@ -11,6 +11,7 @@ from scenegraph.simulation.shapes import Array
 
 if TYPE_CHECKING:
     from scenegraph.simulation.home import Home
+    from scenegraph.simulation.noise import Segmenter
     from scenegraph.simulation.rendering import Rendered
 
 COUNTABLE_PIXELS = 200
@@ -22,17 +23,26 @@ _STRIDE = 4  # every so many-th row and column is looked at for planes
 
 
 class TruthRecorder:
-    """Counts, from noise-free images at true poses, how often each thing and how much of each plane was seen."""
+    """Counts, from noise-free images at true poses, how often each thing and how much of each plane was seen.
+
+    confused   ids of the things that the segmenter always mistakes for the same other class
+    """
 
     def __init__(self, home: Home) -> None:
         self.home = home
         self.images = 0
+        self.confused: frozenset[str] = frozenset()
         self._good = np.zeros(len(home.entities) + 1, dtype=np.int64)
         self._rays = CAMERA.rays()[::_STRIDE, ::_STRIDE]
         self._cells = [
             np.zeros(tuple(max(1, int(np.ceil(e / _CELL_M))) for e in plane.extent), dtype=bool)
             for plane in home.structure
         ]
+
+    def note_confused(self, segmenter: Segmenter) -> None:
+        """Learn from the segmenter which things it always mistakes."""
+        mistaken = np.flatnonzero(segmenter.persistent != segmenter.true_class)
+        self.confused = frozenset(self.home.entities[k - 1] for k in mistaken)
 
     def record(self, rendered: Rendered) -> None:
         """Take in one image of the standard camera."""

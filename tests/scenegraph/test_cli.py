@@ -19,7 +19,9 @@ from mapping.observations import AgentPose, Scan
 from scenegraph import simulation
 from scenegraph.cli import app
 from scenegraph.errors import Problem, StoreForeign
+from scenegraph.evaluation import Evaluation
 from scenegraph.graph import Node, SceneGraph
+from scenegraph.simulation import NoiseModel
 
 COMMANDS = """
     demo serve replay simulate ask where tell evaluate status export schema doctor
@@ -222,6 +224,9 @@ def test_help_imports_nothing_heavy():
         (["simulate", "--output", "x", "--noise", "loud"], "loud"),
         (["simulate"], "--output"),
         (["evaluate", "--seeds", "0"], "--seeds"),
+        (["evaluate", "--mislabelled", "25"], "--mislabelled"),
+        (["evaluate", "--mislabelled", "many"], "--mislabelled"),
+        (["evaluate", "--mislabelled", "nan"], "--mislabelled"),
         (["export", "--format", "graphm", "--output", "x", "--map", "y"], "did you mean 'graphml'"),
         (["export", "--format", "csv"], "--output"),
         (["serve", "--config", "no_such.toml"], "no_such.toml: cannot be read"),
@@ -236,6 +241,25 @@ def test_wrong_use_is_told_in_one_line_with_status_2(words, expected):
     (line,) = result.stderr.splitlines()
     assert line.startswith("error: ")
     assert expected in line
+
+
+def test_evaluate_passes_on_the_noise_and_prints_figures_once(monkeypatch):
+    def evaluate(seeds, **how):
+        asked.append((seeds, how.pop("advance") is not None, how))
+        return Evaluation(seeds=[7], noise=NoiseModel(mislabelled=0.25), image_ms=[2.0])
+
+    asked = []
+    monkeypatch.setattr("scenegraph.evaluation.evaluate", evaluate)
+    told = document(run("evaluate", "--seeds", 1, "--first-seed", 7, "--mislabelled", 0.25, "--json"))
+    assert told["seeds"] == 1
+    assert told["figures"] == {"image_ms.median": 2.0, "image_ms.p99": 2.0}
+    assert told["noise"]["mislabelled"] == 0.25
+    assert told["semantics.accuracy_by_views"] == []
+    assert run("evaluate", "--noise", "none").exit_code == 0
+    assert asked == [
+        (1, True, {"first_seed": 7, "noise": "realistic", "mislabelled": 0.25}),
+        (10, True, {"first_seed": 0, "noise": "none", "mislabelled": None}),
+    ]
 
 
 def test_errors_are_json_too_when_asked_for():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import islice, pairwise
 
 import numpy as np
@@ -15,7 +16,7 @@ from mapping.geometry import SE3
 from mapping.observations import AgentPose, LabelSpace, RgbdImage, RobotDescription
 from scenegraph.simulation import CAMERA, NoiseModel, Tour, TruthRecorder
 from scenegraph.simulation.noise import Segmenter, bleed, discontinuities, grown
-from scenegraph.simulation.observing import make_segmenter
+from scenegraph.simulation.observing import make_segmenter, noise_model
 from tests import naive_simulation as naive
 from tests.support.homes import home
 
@@ -185,7 +186,7 @@ def test_a_lidar_turn_lies_on_the_surfaces_and_names_them():
 
 
 def test_unknown_noise_and_impossible_rates_are_refused_at_once():
-    with pytest.raises(errors.InvalidParameter, match="noise: expected 'none' or 'realistic', got 'loud'"):
+    with pytest.raises(errors.InvalidParameter, match=r"noise: expected 'none', .* got 'loud'"):
         home(SEED).observe(noise="loud")
     with pytest.raises(errors.InvalidParameter, match="rate_hz"):
         home(SEED).observe(rate_hz=0.0)
@@ -220,3 +221,65 @@ def test_the_recorder_counts_pixels_and_places_as_they_are(tour):
     assert {name: n for name, n in recorder.images_of.items() if n} == seen
     assert image.depth.shape == (CAMERA.height, CAMERA.width)
     assert image.depth.max() <= 6.0
+
+
+# -- the noise that one asks for --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fields", "told"),
+    [
+        ({"mislabelled": 1.01}, "mislabelled: expected a share of the things, 0 … 1, got 1.01"),
+        ({"missed": -0.1}, "missed: expected a share of the things, 0 … 1, got -0.1"),
+        ({"confused": float("nan")}, "confused: expected a share of the things, 0 … 1, got nan"),
+        ({"position_m": -1.0}, "position_m: expected a number ≥ 0, got -1.0"),
+        ({"range_m": float("inf")}, "range_m: expected a number ≥ 0, got inf"),
+        ({"bleed_px": (8, 3)}, "bleed_px: expected a range of pixels"),
+    ],
+)
+def test_noise_that_cannot_be_is_refused_by_name(fields, told):
+    with pytest.raises(errors.InvalidParameter) as refused:
+        NoiseModel(**fields)
+    assert told in str(refused.value)
+
+
+def test_the_share_of_mislabelled_things_can_be_set_on_top_of_any_noise():
+    assert noise_model("realistic", 0.25) == NoiseModel(mislabelled=0.25)
+    assert noise_model("none", 0.25) == replace(NoiseModel.none(), mislabelled=0.25)
+    assert noise_model("none", None) == NoiseModel.none()
+    assert noise_model(NoiseModel(confused=0.0), 0.0) == NoiseModel(confused=0.0, mislabelled=0.0)
+    with pytest.raises(errors.InvalidParameter, match="mislabelled"):
+        noise_model("realistic", 2.0)
+
+
+def test_every_thing_is_mislabelled_in_about_the_share_of_images_asked_for_each_image_anew():
+    h = home(SEED)
+    noise = NoiseModel(bleed_px=(0, 0), missed=0.0, mislabelled=0.25, confused=0.0)
+    segmenter = make_segmenter(h, noise, 0)
+    entities = np.arange(len(h.entities) + 1, dtype=np.int32)[None]
+    things = np.arange(len(h.objects)) + 1
+    rng = np.random.default_rng(0)
+    wrong = np.array(
+        [
+            segmenter.segment(entities, segmenter.true_class[entities], rng).labels[0][things]
+            != segmenter.true_class[things]
+            for _ in range(400)
+        ]
+    )
+    assert wrong.mean() == pytest.approx(0.25, abs=0.01)
+    assert np.abs(wrong.mean(axis=0) - 0.25).max() < 0.1
+    again = (wrong[1:] & wrong[:-1]).mean()
+    assert again == pytest.approx(0.25**2, abs=0.01)  # independent of the image before
+
+
+def test_the_recorder_learns_which_things_are_always_mistaken(tour):
+    h = home(SEED)
+    recorder = TruthRecorder(h)
+    first(4, noise=NoiseModel(confused=0.1), tour=tour, seed=7, recorder=recorder)
+    persistent = make_segmenter(h, NoiseModel(confused=0.1), 7).persistent
+    mistaken = {o.id for k, o in enumerate(h.objects) if persistent[k + 1] != h.class_ids[o.label]}
+    assert recorder.confused == mistaken
+    assert len(mistaken) == round(0.1 * len(h.objects))
+    untroubled = TruthRecorder(h)
+    first(4, noise="none", tour=tour, recorder=untroubled)
+    assert untroubled.confused == frozenset()

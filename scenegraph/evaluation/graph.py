@@ -1,0 +1,143 @@
+"""Things, rooms, relations and planes of a world's graph, against those of the home."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from typing import Any, TypeAlias
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from scenegraph.evaluation.result import Evaluation
+from scenegraph.graph import Node
+from scenegraph.simulation import Home, TruthRecorder
+from scenegraph.world import World
+
+__all__ = ["CENTRE_M", "judge_objects", "judge_planes", "judge_relations", "judge_rooms"]
+
+Array: TypeAlias = NDArray[Any]
+CENTRE_M = 0.25
+ROOM_OVERLAP = 0.5
+PLANE_COVER = 1.0 / 3.0
+JUDGED = ("on", "in", "above", "near")
+
+
+# -- objects ---------------------------------------------------------------------------------------------------
+
+
+def judge_objects(world: World, home: Home, countable: frozenset[str], result: Evaluation) -> dict[str, str]:
+    """Match object nodes to things of their class, counted ones first; returns node id → true id."""
+    nodes = world.graph.nodes("object")
+    counted = [o for o in home.objects if o.id in countable]
+    others = [o for o in home.objects if o.id not in countable]
+    matched = _assign(nodes, counted)
+    aside = _assign([n for n in nodes if n.id not in matched], others)
+    result.tallies["objects"].add(len(matched), len(nodes) - len(aside), len(counted))
+    found = set(matched.values())
+    result.notes += [f"{home.seed}: missed {o.id}" for o in counted if o.id not in found]
+    result.notes += [f"{home.seed}: {n.id} is no {n.label}" for n in nodes if n.id not in matched and n.id not in aside]
+    return matched
+
+
+def _assign(nodes: list[Node], things: list[Any]) -> dict[str, str]:
+    """One-to-one pairs of a node and a thing of one class within CENTRE_M: as many as can be, then the nearest."""
+    if not nodes or not things:
+        return {}
+    a = np.array([n.position for n in nodes])
+    b = np.array([t.center for t in things])
+    distance = np.linalg.norm(a[:, None] - b[None], axis=2)
+    same = np.array([[n.label == t.label for t in things] for n in nodes])
+    allowed = same & (distance <= CENTRE_M)
+    rows, columns = linear_sum_assignment(np.where(allowed, distance, 1e3))
+    return {nodes[r].id: things[c].id for r, c in zip(rows, columns, strict=True) if allowed[r, c]}
+
+
+# -- rooms -----------------------------------------------------------------------------------------------------
+
+
+def judge_rooms(world: World, home: Home, result: Evaluation) -> dict[str, str]:
+    """Match room nodes to rooms; returns node id → true id."""
+    nodes = world.graph.nodes("room")
+    outlines = [shapely.Polygon(n.attributes["footprint"]) for n in nodes]
+    truths = [shapely.Polygon(r.footprint) for r in home.rooms]
+    overlap = np.array([[o.intersection(t).area / o.union(t).area for t in truths] for o in outlines]).reshape(
+        len(nodes), len(truths)
+    )
+    rows, columns = linear_sum_assignment(-overlap)
+    matched = {
+        nodes[r].id: home.rooms[c].id for r, c in zip(rows, columns, strict=True) if overlap[r, c] >= ROOM_OVERLAP
+    }
+    result.tallies["rooms"].add(len(matched), len(nodes), len(home.rooms))
+    kinds = {r.id: r.kind for r in home.rooms}
+    typed = sum(world.graph.node(n).attributes.get("type") == kinds[t] for n, t in matched.items())
+    result.tallies["rooms.type_accuracy"].add(typed, len(matched), len(matched))
+    result.notes += [f"{home.seed}: missed room {r.id}" for r in home.rooms if r.id not in matched.values()]
+    result.notes += [f"{home.seed}: {n.id} is no room" for n in nodes if n.id not in matched]
+    return matched
+
+
+# -- relations -------------------------------------------------------------------------------------------------
+
+
+def judge_relations(
+    world: World, home: Home, matched: dict[str, str], countable: frozenset[str], result: Evaluation
+) -> None:
+    """Compare edges between matched nodes (node id → true id) with what holds between the things they stand for."""
+    known = set(matched.values())
+    all_counted = countable | {r.id for r in home.rooms}
+    for relation in JUDGED:
+        true = {(a, b) for name, a, b in home.relations() if name == relation}
+        said = set()
+        for edge in world.graph.edges(relation):
+            if edge.source in matched and edge.target in matched:
+                pair = (matched[edge.source], matched[edge.target])
+                said.add(pair if relation != "near" else (min(pair), max(pair)))
+        judgeable = {pair for pair in true if known.issuperset(pair)}
+        result.tallies[f"relations.{relation}"].add(len(said & judgeable), len(said), len(judgeable))
+        everything = {pair for pair in true if all_counted.issuperset(pair)}
+        result.tallies[f"relations.{relation}.recall_all"].add(len(said & everything), 0, len(everything))
+        result.notes += [f"{home.seed}: missed {relation}{pair}" for pair in sorted(judgeable - said)]
+        result.notes += [f"{home.seed}: wrong {relation}{pair}" for pair in sorted(said - judgeable)]
+
+
+# -- planes ----------------------------------------------------------------------------------------------------
+
+
+def judge_planes(world: World, home: Home, recorder: TruthRecorder, result: Evaluation) -> None:
+    """Each sample of an extracted plane stands for its share of the plane's area and lies on the nearest true
+    surface."""
+    covered: defaultdict[int, Counter[str]] = defaultdict(Counter)
+    planes = world.map.planes
+    names = {info.name: class_id for class_id, info in home.label_space.classes.items()}
+    building = [names[name] for name in ("wall", "floor", "ceiling", "door", "window")]
+    right = said = 0
+    for node in world.graph.nodes("structure"):
+        if not node.id.startswith("plane_"):
+            continue
+        plane = planes.plane(int(node.id.removeprefix("plane_")))
+        points = planes.samples(plane.id, 400).astype(np.float64)
+        triangles = home.renderer.scene.closest(points)[0]
+        truth, classes = home.triangle_plane[triangles], home.triangle_class[triangles]
+        facing = np.array([t >= 0 and home.structure[t].normal @ plane.normal > 0.8 for t in truth])
+        share = plane.area_m2 / len(points)
+        for k, n in zip(*np.unique(truth[facing], return_counts=True), strict=True):
+            covered[int(k)][node.label] += n * share
+        if facing.mean() < 0.5 and np.isin(classes, building).mean() < 0.5:
+            said += 1
+            right += node.label == "no_feature"
+            if node.label != "no_feature":
+                result.notes.append(f"{home.seed}: {node.id} is no {node.label}")
+    seen = recorder.plane_seen
+    for k, true in enumerate(home.structure):
+        if true.id not in recorder.countable_planes:
+            continue
+        said += 1
+        label, area = covered[k].most_common(1)[0] if covered[k] else ("missed", 0.0)
+        enough = sum(covered[k].values()) >= PLANE_COVER * true.area * seen[true.id]
+        good = enough and label == true.kind
+        right += good
+        if not good:
+            result.notes.append(f"{home.seed}: plane {true.id} is {label if enough else 'missed'}, {area:.1f} m²")
+    result.tallies["planes.accuracy"].add(right, said, said)
