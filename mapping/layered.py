@@ -46,8 +46,8 @@ class MapChange:
 class LayeredMap:
     """Occupancy, signed distance, planes, class votes and instances; and a distance field that follows the occupancy.
 
-    voxel_size_m           edge of the voxels of occupancy, signed distance and semantics [m]
-    instance_voxel_size_m  edge of the finer voxels of which things are made [m]
+    voxel_size_m           edge of the voxels of occupancy and signed distance [m]
+    instance_voxel_size_m  edge of the finer voxels of classes and things [m]
     max_range_m            measurements beyond this are cut [m]
     label_range_m          labels beyond this are not believed [m]
     """
@@ -64,7 +64,7 @@ class LayeredMap:
             max_range_m=max_range_m,
             depth_noise=0.0,  # boards as thin as voxels matter more to relations than walls far away
         )
-        self.semantics = SemanticMap(voxel_size_m=voxel_size_m)
+        self.semantics = SemanticMap(voxel_size_m=instance_voxel_size_m)
         self.instances = InstanceMap(voxel_size_m=instance_voxel_size_m)
         self.semantics.things = self.instances
         self.planes = PlaneMap(voxel_size_m)

@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from mapping.errors import MappingError
 from mapping.grid import BLOCK_EDGE, BlockStore, as_blocks, as_points, join_ijk, split_ijk
 from mapping.kernels import packed as kernels
+from mapping.layer import Changed, MapLayer
 
 Array: TypeAlias = NDArray[Any]
 
-GROWTH = 1.125
+GROWTH = 1.25
 """When the records are full, they are laid out anew with so many times the room that they need."""
 MOST_BLOCKS = 1 << 22
 """A cell is an int32."""
@@ -36,6 +37,7 @@ class PackedStore:
     """
 
     def __init__(self, fields: Mapping[str, tuple[DTypeLike, int]], voxel_size_m: float) -> None:
+        self.voxel_size_m = voxel_size_m
         self._slabs = BlockStore({"mask": "u8", "first": "i4"}, voxel_size_m, fill={"first": -1}, edge=8, axes=1)
         self.fields: dict[str, Array] = {name: np.zeros((0, n), dtype) for name, (dtype, n) in fields.items()}
         self._free = np.full(kernels.CLASSES, -1, np.int64)
@@ -44,10 +46,6 @@ class PackedStore:
         self._n_records = 0
 
     # -- what is there ------------------------------------------------------------------------------------
-    @property
-    def voxel_size_m(self) -> float:
-        return self._slabs.voxel_size_m
-
     @property
     def block_size_m(self) -> float:
         return self._slabs.block_size_m
@@ -167,15 +165,14 @@ class PackedStore:
 
     def _lay_out(self) -> None:
         """Put the records of all blocks one behind the other, with room to grow."""
-        cells = self.cells()
-        before = self.rows(cells)
-        self._end = int(kernels.lay_out(self.masks[: self.n_blocks], self.first))
-        after = self.rows(cells)
+        moves = np.empty((self.n_blocks, 3), np.int64)
+        self._end = int(kernels.lay_out(self.masks[: self.n_blocks], self.first, moves))
         chunks = -(-int(GROWTH * self._end) // kernels.CHUNK)
         self._links, self._free[:] = np.empty(chunks, np.int32), -1
         for name, field in self.fields.items():
-            self.fields[name] = np.empty((chunks * kernels.CHUNK, field.shape[1]), field.dtype)
-            self.fields[name][after] = field[before]
+            laid = np.empty((chunks * kernels.CHUNK, field.shape[1]), field.dtype)
+            kernels.move(moves, field.strides[0], field.view(np.uint8).ravel(), laid.view(np.uint8).ravel())
+            self.fields[name] = laid
 
     # -- state --------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:
@@ -219,3 +216,15 @@ class PackedStore:
         for name, field in self.fields.items():
             field[rows] = state[name]
         self.changed_at[: len(blocks)] = revision
+
+
+class PackedLayer(MapLayer):
+    """A layer whose voxels lie in a `PackedStore`."""
+
+    store: PackedStore
+
+    def _note(self, slots: Array) -> Changed:
+        """Count one update that changed the blocks in `slots` (K,), each named once."""
+        self.revision += 1
+        self.store.changed_at[slots] = self.revision
+        return Changed(self.block_ijk[slots], self.block_size_m)

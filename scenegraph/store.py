@@ -32,7 +32,7 @@ from scenegraph.graph import Snapshot
 
 __all__ = ["FORMAT_VERSION", "WorldParts", "load_world", "save_world"]
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """Version of the file format; a newer file is refused, an older one is read."""
 
 _Description = tuple[str, str, str, tuple[int, ...], int]  # layer, array, dtype, shape, number of chunks
@@ -211,6 +211,11 @@ def _check_version(path: Path, database: sqlite3.Connection) -> None:
         raise StoreTooNew(
             f"{path}: format version {version}, but this program reads up to {FORMAT_VERSION}",
             hint="install a newer version of this program",
+        )
+    if version < FORMAT_VERSION:
+        raise StoreForeign(
+            f"{path}: format version {version}, but this program reads version {FORMAT_VERSION}",
+            hint="the voxels of that version cannot be converted: map the recording again",
         )
 
 

@@ -41,6 +41,12 @@ def count_bits(mask: Int) -> Int:
 
 
 @njit(cache=True, inline="always")
+def has_record(masks: Array, cell: Int) -> Any:
+    """Whether a cell ≥ 0 has a record."""
+    return masks[cell >> 9, (cell >> 6) & 7] & (_ONE << np.uint64(cell & 63)) != np.uint64(0)
+
+
+@njit(cache=True, inline="always")
 def row_of(masks: Array, first: Array, cell: Int) -> Int:
     """The row of the record of a cell ≥ 0, −1 where it has none."""
     slot, slab = cell >> 9, (cell >> 6) & 7
@@ -83,10 +89,9 @@ def want(masks: Array, first: Array, cells: Array, slots: Array, old_masks: Arra
         cell = np.int64(cells[c])
         if cell < 0:
             continue
-        slot, slab, bit = cell >> 9, (cell >> 6) & 7, _ONE << np.uint64(cell & 63)
-        if masks[slot, slab] & bit == np.uint64(0):
-            n = _remember(masks, first, slot, slots, old_masks, starts, n)
-            masks[slot, slab] |= bit
+        if not has_record(masks, cell):
+            n = _remember(masks, first, cell >> 9, slots, old_masks, starts, n)
+            masks[cell >> 9, (cell >> 6) & 7] |= _ONE << np.uint64(cell & 63)
     return n
 
 
@@ -98,10 +103,9 @@ def drop(masks: Array, first: Array, cells: Array, slots: Array, old_masks: Arra
         cell = np.int64(cells[c])
         if cell < 0:
             continue
-        slot, slab, bit = cell >> 9, (cell >> 6) & 7, _ONE << np.uint64(cell & 63)
-        if masks[slot, slab] & bit != np.uint64(0):
-            n = _remember(masks, first, slot, slots, old_masks, starts, n)
-            masks[slot, slab] &= ~bit
+        if has_record(masks, cell):
+            n = _remember(masks, first, cell >> 9, slots, old_masks, starts, n)
+            masks[cell >> 9, (cell >> 6) & 7] &= ~(_ONE << np.uint64(cell & 63))
     return n
 
 
@@ -176,18 +180,31 @@ def settle(
 
 
 @njit(cache=True)
-def lay_out(masks: Array, first: Array) -> Int:
-    """Give the blocks (n, 8) segments one behind the other, in place; returns where the last ends."""
+def lay_out(masks: Array, first: Array, moves: Array) -> Int:
+    """Give the blocks (n, 8) segments one behind the other, in place; returns where the last ends.
+
+    moves (n, 3) int64, out: where a block's records began, where they begin now, and how many they are
+    """
     end = 0
     for n in range(masks.shape[0]):
         row = end
+        moves[n, 0], moves[n, 1] = first[n, 0], end
         for slab in range(8):
             first[n, slab] = row
             row += count_bits(masks[n, slab])
-        end += (row - end + CHUNK - 1) // CHUNK * CHUNK
-        if row == first[n, 0]:
+        moves[n, 2] = row - end
+        if row == end:
             first[n, 0] = -1
+        end += (row - end + CHUNK - 1) // CHUNK * CHUNK
     return end
+
+
+@njit(cache=True)
+def move(moves: Array, width: Int, source: Array, target: Array) -> None:
+    """Copy records of `width` bytes from `source` to `target`, both uint8 (·,), as `lay_out` says, in place."""
+    for n in range(moves.shape[0]):
+        a, b, size = moves[n, 0] * width, moves[n, 1] * width, moves[n, 2] * width
+        target[b : b + size] = source[a : a + size]
 
 
 @njit(cache=True)

@@ -219,7 +219,8 @@ def cast_view(
                     for axis in range(3):
                         normals[v, u, axis] = gradient[axis] / norm
                     break
-                z = step_ahead(z_behind, 0.5 * voxel_size * per_length, end)  # something unknown, or an edge between two surfaces
+                # something unknown, or an edge between two surfaces
+                z = step_ahead(z_behind, 0.5 * voxel_size * per_length, end)
                 before = behind = np.nan
 
 

@@ -32,6 +32,7 @@ from mapping.kernels import (
 from mapping.layer import Changed, MapLayer
 from mapping.multilevel import MultiLevelMap
 from mapping.occupancy import OccupancyMap
+from mapping.packed import PackedLayer
 from mapping.points import PointMap
 from mapping.semantics import SemanticMap
 from mapping.sensors import LidarModel
@@ -165,7 +166,7 @@ def fed(case: Case, order: tuple[int, ...]) -> MapLayer:
 
 
 def voxels(layer: MapLayer, blocks: np.ndarray) -> np.ndarray:
-    if layer.store.n_cells == 1:
+    if layer.block_size_m == layer.voxel_size_m:
         return ijk_to_centre(blocks, layer.voxel_size_m)
     local = np.tile(np.arange(BLOCK_VOXELS), len(blocks))
     return ijk_to_centre(join_ijk(np.repeat(blocks, BLOCK_VOXELS, axis=0), local), layer.voxel_size_m)
@@ -179,6 +180,12 @@ def snapshot(layer: MapLayer) -> dict[tuple[int, ...], bytes]:
             for block, evidence in zip(layer.block_ijk.tolist(), layer.evidence_of(layer.block_ijk), strict=True)
         }
     fields = layer.store.fields
+    if isinstance(layer, PackedLayer):
+        rows = [layer.store.rows(layer.store.cells([slot])) for slot in range(layer.store.n_blocks)]
+        return {
+            tuple(block): b"".join(fields[name][rows[slot]].tobytes() for name in sorted(fields))
+            for slot, block in enumerate(layer.block_ijk.tolist())
+        }
     return {
         tuple(block): b"".join(fields[name][slot].tobytes() for name in sorted(fields))
         for slot, block in enumerate(layer.block_ijk.tolist())
@@ -202,7 +209,7 @@ def test_the_blocks_reported_are_the_blocks_changed(case):
         changed = {block for block, content in after.items() if content != before.get(block, empty)}
         assert {tuple(block) for block in reported.blocks.tolist()} == changed
         assert len(np.unique(reported.blocks, axis=0)) == len(reported)
-        assert reported.block_size_m == pytest.approx(VOXEL_SIZE * layer.store.edge)
+        assert reported.block_size_m == pytest.approx(layer.block_size_m)
         before = after
 
 
@@ -210,6 +217,8 @@ def snapshot_of_nothing(layer: MapLayer) -> bytes:
     """What a block holds that was only allocated."""
     if isinstance(layer, OccupancyMap):
         return layer.evidence_of([[1000, 1000, 1000]]).tobytes()
+    if isinstance(layer, PackedLayer):
+        return b""
     filled = {name: layer.store._filled(name, 1) for name in layer.store.fields}
     return b"".join(filled[name].tobytes() for name in sorted(filled))
 

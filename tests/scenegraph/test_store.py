@@ -149,6 +149,14 @@ def test_a_newer_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         load_world(tmp_path / "w")
 
 
+def test_a_file_whose_voxels_are_of_another_kind_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as older:
+        older.setattr(store, "FORMAT_VERSION", 1)
+        save_world(tmp_path / "w", parts())
+    with pytest.raises(StoreForeign, match="format version 1, but"):
+        load_world(tmp_path / "w")
+
+
 def test_what_cannot_be_stored_is_named(tmp_path: Path) -> None:
     for bad, message in (
         (WorldParts(config={"x": float("nan")}), "'config' is not JSON"),
