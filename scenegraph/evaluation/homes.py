@@ -78,4 +78,4 @@ def judge(world: World, home: Home, recorder: TruthRecorder, result: Evaluation,
     rooms = judge_rooms(world, home, result)
     judge_relations(world, home, things | rooms, countable, result)
     judge_planes(world, home, recorder, result)
-    judge_voxels(world, home, recorder, result.semantics, views)
+    result.notes += judge_voxels(world, home, recorder, result.semantics, views)

@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["PanopticQuality", "PanopticTally"]
+__all__ = ["PanopticQuality", "PanopticTally", "Unmatched"]
 
 Array: TypeAlias = NDArray[Any]
 
@@ -34,6 +34,15 @@ class PanopticQuality:
     pq: float
     sq: float
     rq: float
+
+
+@dataclass(frozen=True)
+class Unmatched:
+    """Segments of one home without a match: those missed by class and instance id (0 for stuff), and those invented by
+    class, instance id and number of voxels."""
+
+    missed: list[tuple[int, int]]
+    invented: list[tuple[int, int, int]]
 
 
 @dataclass
@@ -59,8 +68,8 @@ class PanopticTally:
         things: Collection[int],
         void: ArrayLike | None = None,
         unseen: Iterable[int] = (),
-    ) -> None:
-        """Count the segments of one home.
+    ) -> Unmatched:
+        """Count the segments of one home; returns those that found no match.
 
         true_class, said_class       (N,) class ids of its voxels; 0: none is said
         true_instance, said_instance (N,) instance ids, which matter for things only; 0: none is said
@@ -73,8 +82,8 @@ class PanopticTally:
         CVPR 2020, section 3.3). Void voxels do not count in overlaps, and a said segment that matches nothing and of
         which more than half is void was not invented (section 4.1 of the source).
         """
-        true, class_of_true = _segments(np.asarray(true_class), np.asarray(true_instance), things)
-        said, class_of_said = _segments(np.asarray(said_class), np.asarray(said_instance), things)
+        true, class_of_true, key_of_true = _segments(np.asarray(true_class), np.asarray(true_instance), things)
+        said, class_of_said, key_of_said = _segments(np.asarray(said_class), np.asarray(said_instance), things)
         if void is not None:
             true[np.asarray(void, bool)] = -1
         n_true, n_said = len(class_of_true), len(class_of_said)
@@ -94,6 +103,13 @@ class PanopticTally:
         self.missed.update(class_of_true[1:][missed[1:]].tolist())
         self.invented.update(class_of_said[1:][invented[1:]].tolist())
         self.missed.update(unseen)
+        return Unmatched(
+            [(int(class_of_true[k]), int(key_of_true[k])) for k in np.flatnonzero(missed[1:]) + 1],
+            [
+                (int(class_of_said[k]), int(key_of_said[k]), int(said_size[k] + said_void[k]))
+                for k in np.flatnonzero(invented[1:]) + 1
+            ],
+        )
 
     def quality(self, classes: Collection[int] | None = None) -> PanopticQuality:
         """The mean over all classes, or those of `classes`, that have a segment, true or said."""
@@ -107,12 +123,14 @@ class PanopticTally:
         return PanopticQuality(pq, sq, rq)
 
 
-def _segments(classes: Array, instances: Array, things: Collection[int]) -> tuple[Array, Array]:
-    """The segment (N,) that each voxel belongs to, 0 for none, and the class (n + 1,) of each segment."""
+def _segments(classes: Array, instances: Array, things: Collection[int]) -> tuple[Array, Array, Array]:
+    """The segment (N,) that each voxel belongs to, 0 for none; and of each segment (n + 1,) the class, and the instance
+    id, 0 for stuff."""
     thing = np.isin(classes, np.fromiter(things, np.int64))
     key = np.where(thing, instances.astype(np.int64), -classes.astype(np.int64))
     keys, segment = np.unique(np.append(key, 0), return_inverse=True)
     none = int(np.searchsorted(keys, 0))
+    keys[1 : none + 1], keys[0] = keys[:none].copy(), 0  # what belongs to nothing comes first
     number = np.arange(len(keys)) + (np.arange(len(keys)) < none)
     number[none] = 0
     segment = number[segment[:-1].ravel()]
@@ -121,4 +139,4 @@ def _segments(classes: Array, instances: Array, things: Collection[int]) -> tupl
     order = np.lexsort((-pairs, votes))  # the last of a segment has most votes, and of those the lowest class id
     class_of = np.zeros(len(keys), np.int64)
     class_of[pairs[order] // n_classes] = pairs[order] % n_classes
-    return segment, class_of
+    return segment, class_of, np.maximum(keys, 0)

@@ -149,8 +149,11 @@ class SemanticTally:
 
 def judge_voxels(
     world: World, home: Home, recorder: TruthRecorder, tally: SemanticTally, views: ViewLog | None = None
-) -> None:
-    """Add one home's voxels to `tally`; without `views` nothing is told of single images and of unlabelled voxels."""
+) -> list[str]:
+    """Add one home's voxels to `tally`; without `views` nothing is told of single images and of unlabelled voxels.
+
+    Returns a note for each segment without a match.
+    """
     size = world.map.semantics.voxel_size_m
     ijk, said = _voxels(world, home, views)
     centres = ijk_to_centre(ijk, size)
@@ -179,12 +182,19 @@ def judge_voxels(
     void = np.zeros(len(home.entities) + 1, bool)
     void[1 : len(home.objects) + 1] = [o.id not in countable for o in home.objects]
     there = np.bincount(entity, minlength=len(void))
-    unseen = [home.class_ids[o.label] for k, o in enumerate(home.objects, 1) if not void[k] and not there[k]]
+    unseen = [(home.class_ids[o.label], o.id) for k, o in enumerate(home.objects, 1) if not void[k] and not there[k]]
     kinds = {class_id: info.kind for class_id, info in home.label_space.classes.items()}
     tally.things |= {c for c, kind in kinds.items() if kind == "thing"}
     tally.stuff |= {c for c, kind in kinds.items() if kind != "thing"}
     instances = world.map.instances.query(centres)
-    tally.panoptic.add(true, entity, said, instances, things=tally.things, void=void[entity], unseen=unseen)
+    unmatched = tally.panoptic.add(
+        true, entity, said, instances, things=tally.things, void=void[entity], unseen=[c for c, _ in unseen]
+    )
+    names = {class_id: info.name for class_id, info in home.label_space.classes.items()}
+    missed = [home.entities[k - 1] if k else names[c] for c, k in unmatched.missed] + [name for _, name in unseen]
+    return [f"{home.seed}: no segment is {name}" for name in missed] + [
+        f"{home.seed}: segment {names[c]}{f' {k}' if k else ''} of {n} voxels is none" for c, k, n in unmatched.invented
+    ]
 
 
 def _voxels(world: World, home: Home, views: ViewLog | None) -> tuple[Array, Array]:

@@ -79,28 +79,26 @@ class ViewLog:
         self._voxels.append(pack(_split(cells[best], _IMAGE_BITS) + low))
         self._labels.append((pairs[best] & 0xFFFF).astype(np.uint16))
 
-    def __len__(self) -> int:
-        return len(self._voxels)
-
     def voxels(self, least_views: int = 1) -> NDArray[np.int64]:
         """The voxels (N, 3) into which labelled pixels of so many images fell."""
-        keys, counts = np.unique(self._all()[0], return_counts=True)
-        return _split(keys[counts >= least_views], _BITS) - _ZERO
+        keys, views = np.unique(self._sorted()[0], return_counts=True)
+        return _split(keys[views >= least_views], _BITS) - _ZERO
 
     def query(self, ijk: ArrayLike, seed: int = 0) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
         """In how many images each voxel (N, 3) was labelled (N,), and the label (N,) that one of them, drawn for each
         voxel anew, gave it; 0 where there is none."""
-        keys, labels = self._all()
-        order = np.argsort(keys, kind="stable")
-        keys, labels = keys[order], labels[order]
+        keys, labels = self._sorted()
         wanted = pack(ijk)
         first = np.searchsorted(keys, wanted)
         views = np.searchsorted(keys, wanted, side="right") - first
         one = first + (np.random.default_rng(seed).random(len(wanted)) * views).astype(np.int64)
         return views, np.append(labels, np.uint16(0))[np.where(views > 0, one, -1)]
 
-    def _all(self) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
-        return (
-            np.concatenate([np.empty(0, np.int64), *self._voxels]),
-            np.concatenate([np.empty(0, np.uint16), *self._labels]),
-        )
+    def _sorted(self) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
+        """All voxels and labels (M,) so far, by voxel; of one voxel in the order of the images."""
+        if len(self._voxels) != 1:
+            keys = np.concatenate([np.empty(0, np.int64), *self._voxels])
+            labels = np.concatenate([np.empty(0, np.uint16), *self._labels])
+            order = np.argsort(keys, kind="stable")
+            self._voxels, self._labels = [keys[order]], [labels[order]]
+        return self._voxels[0], self._labels[0]
