@@ -91,7 +91,7 @@ class PanopticTally:
         true_size = np.bincount(true[judged], minlength=n_true)
         said_size = np.bincount(said[judged], minlength=n_said)
         said_void = np.bincount(said[~judged], minlength=n_said)
-        pairs, shared = np.unique(true[judged] * n_said + said[judged], return_counts=True)
+        pairs, shared = _counted(true[judged] * n_said + said[judged])
         t, s = np.divmod(pairs, n_said)
         overlap = shared / (true_size[t] + said_size[s] - shared)
         match = (t > 0) & (s > 0) & (class_of_true[t] == class_of_said[s]) & (overlap > MATCH_OVERLAP)
@@ -135,8 +135,15 @@ def _segments(classes: Array, instances: Array, things: Collection[int]) -> tupl
     number[none] = 0
     segment = number[segment[:-1].ravel()]
     n_classes = int(classes.max(initial=0)) + 1
-    pairs, votes = np.unique(segment * n_classes + classes, return_counts=True)
+    pairs, votes = _counted(segment * n_classes + classes)
     order = np.lexsort((-pairs, votes))  # the last of a segment has most votes, and of those the lowest class id
     class_of = np.zeros(len(keys), np.int64)
     class_of[pairs[order] // n_classes] = pairs[order] % n_classes
     return segment, class_of, np.maximum(keys, 0)
+
+
+def _counted(values: Array) -> tuple[Array, Array]:
+    """The values ≥ 0 that there are, ascending, and how often each: without sorting millions."""
+    counts = np.bincount(values)
+    there = np.flatnonzero(counts)
+    return there, counts[there]

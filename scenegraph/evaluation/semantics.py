@@ -46,8 +46,9 @@ class Confusion(Counter[tuple[int, int]]):
 
     def count(self, true: Array, said: Array) -> None:
         """Add voxels of true and said class ids (N,)."""
-        pairs, n = np.unique(np.stack([true, said], axis=1).astype(np.int64), axis=0, return_counts=True)
-        self.update(dict(zip(map(tuple, pairs.tolist()), n.tolist(), strict=True)))
+        n_classes = int(said.max(initial=0)) + 1
+        counts = np.bincount(true.astype(np.int64) * n_classes + said)
+        self.update({divmod(pair, n_classes): int(counts[pair]) for pair in np.flatnonzero(counts).tolist()})
 
     @property
     def accuracy(self) -> float:
@@ -129,14 +130,14 @@ class SemanticTally:
 
     def count_views(self, views: Array, true: Array, said: Array, said_once: Array) -> None:
         """Add voxels seen in so many `views` (N,), by their true and said class ids (N,)."""
-        right, right_once = true == said, true == said_once
-        for n in np.unique(views).tolist():
-            here = views == n
+        voxels = np.bincount(views)
+        right, right_once = (np.bincount(views[true == s], minlength=len(voxels)) for s in (said, said_once))
+        for n in np.flatnonzero(voxels).tolist():
             before = self.by_views.get(n, (0, 0, 0))
             self.by_views[n] = (
-                before[0] + int(here.sum()),
-                before[1] + int(right[here].sum()),
-                before[2] + int(right_once[here].sum()),
+                before[0] + int(voxels[n]),
+                before[1] + int(right[n]),
+                before[2] + int(right_once[n]),
             )
 
     def _median_views(self) -> float:
@@ -206,6 +207,6 @@ def _voxels(world: World, home: Home, views: ViewLog | None) -> tuple[Array, Arr
     said = of_home[labels.astype(np.int64)]
     if views is None:
         return ijk, said
-    seen = views.voxels(SEEN_VIEWS)
-    unlabelled = seen[~np.isin(pack(seen), pack(ijk))]
+    seen, labelled = views.voxels(SEEN_VIEWS), np.append(np.sort(pack(ijk)), -1)
+    unlabelled = seen[labelled[np.searchsorted(labelled[:-1], pack(seen))] != pack(seen)]
     return np.concatenate([ijk, unlabelled]), np.concatenate([said, np.zeros(len(unlabelled), said.dtype)])

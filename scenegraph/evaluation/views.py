@@ -68,8 +68,9 @@ class ViewLog:
         wanted = (depth > 0.0) & (depth < self.range_m) & (labels > 0)
         if not wanted.any():
             return
-        p_map = T_map_camera @ (image.intrinsics.rays()[every][wanted] * depth[wanted][:, None])
-        ijk = point_to_ijk(p_map, self.voxel_size_m).T.astype(np.int64, order="C")
+        p_camera = image.intrinsics.rays()[every][wanted] * depth[wanted][:, None]
+        p_map = np.einsum("ij,nj->in", T_map_camera.rotation, p_camera) + T_map_camera.translation[:, None]
+        ijk = point_to_ijk(p_map, self.voxel_size_m).astype(np.int64)  # an axis a row: several times faster
         low = ijk.min(axis=1)
         cells = _join(ijk - low[:, None], _IMAGE_BITS)
         pairs, pixels = np.unique(cells << 16 | labels[wanted], return_counts=True)
@@ -80,9 +81,11 @@ class ViewLog:
         self._labels.append((pairs[best] & 0xFFFF).astype(np.uint16))
 
     def voxels(self, least_views: int = 1) -> NDArray[np.int64]:
-        """The voxels (N, 3) into which labelled pixels of so many images fell."""
-        keys, views = np.unique(self._sorted()[0], return_counts=True)
-        return _split(keys[views >= least_views], _BITS) - _ZERO
+        """The voxels (N, 3) into which labelled pixels of so many images fell, in the order of their indices."""
+        keys, _ = self._sorted()
+        first = np.flatnonzero(np.diff(keys, prepend=-1))
+        views = np.diff(first, append=len(keys))
+        return _split(keys[first[views >= least_views]], _BITS) - _ZERO
 
     def query(self, ijk: ArrayLike, seed: int = 0) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
         """In how many images each voxel (N, 3) was labelled (N,), and the label (N,) that one of them, drawn for each
