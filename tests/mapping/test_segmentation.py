@@ -89,7 +89,7 @@ def test_a_bleeding_mask_is_cut_at_the_depth_jump(radius: float) -> None:
     assert ((seen.pieces == 1) & ~true).sum() == 0, "no pixel of the wall is the cup's"
     assert ((seen.pieces == 1) & true).sum() > 0.98 * true.sum()
     assert seen.pixels.tolist() == [(seen.pieces == 1).sum()]
-    assert (seen.labels[bleeding & ~true] == 0).all(), "the wall behind is not called a cup"
+    assert (seen.labels[bleeding & ~true] == WALL).all(), "the wall behind is no cup"
     assert (seen.labels[~bleeding] == WALL).all()
 
 
