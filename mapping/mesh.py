@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
@@ -12,7 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from mapping.errors import InvalidParameter
 from mapping.grid import BLOCK_VOXELS, as_blocks
 from mapping.kernels import marching_cubes
+from mapping.labelled import labels_near
 from mapping.layer import Changed
+from mapping.palette import Palette
+from mapping.ply import Property, ply_bytes, vectors, write_ply
+from mapping.semantics import SemanticMap
 
 if TYPE_CHECKING:
     from mapping.tsdf import TsdfMap
@@ -69,26 +73,25 @@ class Mesh:
 
     def write_ply(self, path: str | Path) -> None:
         """Write a binary PLY file with normals and, where there are any, colours and labels (property `label`)."""
-        columns: list[tuple[str, str, str, Array]] = [
-            (name, "float", "<f4", self.vertices[:, n]) for n, name in enumerate("xyz")
-        ]
-        columns += [(name, "float", "<f4", self.normals[:, n]) for n, name in enumerate(("nx", "ny", "nz"))]
+        write_ply(path, self._properties(), self.triangles)
+
+    def ply(self) -> bytes:
+        """What `write_ply` writes."""
+        return ply_bytes(self._properties(), self.triangles)
+
+    def _properties(self) -> list[Property]:
+        columns = [*vectors("xyz", self.vertices), *vectors(("nx", "ny", "nz"), self.normals)]
         if self.colors is not None:
-            columns += [(name, "uchar", "u1", self.colors[:, n]) for n, name in enumerate(("red", "green", "blue"))]
+            columns += vectors(("red", "green", "blue"), self.colors)
         if self.labels is not None:
-            columns.append(("label", "ushort", "<u2", self.labels))
-        rows = np.empty(len(self.vertices), [(name, dtype) for name, _, dtype, _ in columns])
-        for name, _, _, values in columns:
-            rows[name] = values
-        faces = np.empty(len(self.triangles), [("n", "u1"), ("corners", "<i4", (3,))])
-        faces["n"], faces["corners"] = 3, self.triangles
-        header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
-        header += [f"property {kind} {name}" for name, kind, _, _ in columns]
-        header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
-        with Path(path).open("wb") as file:
-            file.write("\n".join(header).encode("ascii"))
-            file.write(rows.tobytes())
-            file.write(faces.tobytes())
+            columns.append(("label", self.labels))
+        return columns
+
+    def colored(self, palette: Palette) -> Mesh:
+        """The same mesh with each vertex in the colour of its class, grey without a label."""
+        if self.labels is None:
+            raise InvalidParameter("labels: expected a mesh with labels, as mesh(labels_from=…) gives")
+        return replace(self, colors=palette.of(self.labels))
 
 
 class Labelled(Protocol):
@@ -176,7 +179,8 @@ class IncrementalMesh:
         """The pieces of the blocks (K, 3) asked for (default all) as one mesh, as of the last `update`.
 
         A triangle belongs to the block of its cube's first voxel, so that the meshes of disjoint sets of blocks make up
-        the whole. labels_from: labels of the vertices, or of what lies half a voxel behind or before them.
+        the whole. labels_from: what gives the labels of the vertices; of a `SemanticMap`, a vertex without a label gets
+        that of the nearest voxel that has one, not farther than a voxel of the signed distances.
         """
         tsdf, pieces = self.tsdf, self._pieces
         if block_ijk is None:
@@ -205,7 +209,7 @@ class IncrementalMesh:
         rows = rows[used]
         vertices, normals = rows[:, :3].copy(), rows[:, 3:].copy()
         colors = tsdf.colors_at(vertices) if tsdf.has_color else None
-        labels = None if labels_from is None else _labels(labels_from, vertices, 0.5 * tsdf.voxel_size_m * normals)
+        labels = None if labels_from is None else _labels(labels_from, vertices, tsdf.voxel_size_m)
         return Mesh(vertices, triangles, normals, colors, labels)
 
 
@@ -218,13 +222,11 @@ def _grown(array: Array, n: int) -> Array:
     return room
 
 
-def _labels(source: Labelled, vertices: Array, step: Array) -> NDArray[np.uint16]:
-    """The label of each vertex, or where it has none that of a step behind it, or before it."""
-    labels = np.array(source.query(vertices)[0], np.uint16)
-    for places in (vertices - step, vertices + step):
-        without = labels == 0
-        labels[without] = source.query(places[without])[0]
-    return labels
+def _labels(source: Labelled, vertices: Array, reach_m: float) -> NDArray[np.uint16]:
+    """The label of each vertex; of semantic voxels, that of the nearest within reach."""
+    if isinstance(source, SemanticMap):
+        return labels_near(vertices, source, reach_m)[0]
+    return np.array(source.query(vertices)[0], np.uint16)
 
 
 def extract_mesh(tsdf: TsdfMap, *, labels_from: Labelled | None = None) -> Mesh:

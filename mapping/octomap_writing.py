@@ -20,14 +20,21 @@ if TYPE_CHECKING:
 Array: TypeAlias = NDArray[Any]
 ColorsOf: TypeAlias = Callable[[NDArray[np.float64]], NDArray[np.uint8]]
 
+_MOST_SPLIT = 6
+"""Leaves of higher levels keep one colour."""
+_AT_ONCE = 1 << 18  # voxels whose colours are asked for together
 _COMMENT = b"# (feel free to add / change comments, but leave the first line as it is!)\n#\n"
 
 
-def write_octomap(occupancy: OccupancyMap, path: str | Path, *, colors: ColorsOf | None = None) -> None:
+def write_octomap(
+    occupancy: OccupancyMap, path: str | Path, *, colors: ColorsOf | None = None, split: bool = False
+) -> None:
     """Write the map as an OctoMap file, `.bt` (each voxel free or occupied) or `.ot` (log-odds) as the name ends.
 
     colors : what gives the colours (N, 3) uint8 of points (N, 3) [m], asked at the centres of occupied leaves, for an
              `.ot` file with colours; white means none. Without it, colours of the file that was read are kept
+    split  : whether the colours are asked of each occupied voxel, and leaves whose voxels differ are split; otherwise
+             a leaf of many voxels has the colour that its centre has. Leaves of more than 64³ voxels are never split
 
     Nodes of the file that the map was read from are written as they were where the map has not changed since, but a
     `.bt` file from an `.ot` file has clamped values and is pruned, as OctoMap's `writeBinary` does. Raises
@@ -47,6 +54,8 @@ def write_octomap(occupancy: OccupancyMap, path: str | Path, *, colors: ColorsOf
     kept = None if binary and origin is not None and not origin.is_binary else origin
     children, log_odds, color = _merge(occupancy, kept, binary)
     if colors is not None:
+        if split:
+            children, log_odds = _split(colors, children, log_odds, occupancy.voxel_size_m)
         kind, color = "ColorOcTree", _ask_colors(colors, children, log_odds, occupancy.voxel_size_m)
     stream = _binary(children, log_odds) if binary else _full(NODES[kind], children, log_odds, color)
     size = occupancy.voxel_size_m
@@ -128,13 +137,50 @@ def _ask_colors(colors_of: ColorsOf, children: Array, log_odds: Array, voxel_siz
     nodes, corners, levels = list_cells(children, 0)
     occupied = log_odds[nodes] >= 0.0
     centres = (corners[occupied] + 0.5 * (1 << levels[occupied].astype(np.int64))[:, None]) * voxel_size_m
-    asked = np.asarray(colors_of(centres))
-    if asked.shape != centres.shape or asked.dtype != np.uint8:
-        raise InvalidParameter(f"colors: expected uint8 {centres.shape}, got {asked.dtype} {asked.shape}")
     colors = np.full((len(children), 3), octrees.WHITE, np.uint8)
-    colors[nodes[occupied]] = asked
+    colors[nodes[occupied]] = _asked(colors_of, centres)
     octrees.average_colors(colors, children)
     return colors
+
+
+def _asked(colors_of: ColorsOf, centres: Array) -> NDArray[np.uint8]:
+    colors = np.asarray(colors_of(centres))
+    if colors.shape != centres.shape or colors.dtype != np.uint8:
+        raise InvalidParameter(f"colors: expected uint8 {centres.shape}, got {colors.dtype} {colors.shape}")
+    return colors
+
+
+def _split(colors_of: ColorsOf, children: Array, log_odds: Array, voxel_size_m: float) -> tuple[Array, Array]:
+    """Children and log-odds of the tree in which no occupied leaf has voxels of different colours."""
+    asked = octrees.DEPTH
+    while True:
+        nodes, corners, levels = list_cells(children, 0)
+        occupied = log_odds[nodes] >= 0.0
+        mixed = np.zeros(len(nodes), np.bool_)
+        for level in range(1, min(_MOST_SPLIT, asked) + 1):
+            leaves = np.flatnonzero(occupied & (levels == level))
+            mixed[leaves] = _are_mixed(colors_of, corners[leaves], level, voxel_size_m)
+        if not mixed.any():
+            return children, log_odds
+        parents, asked = nodes[mixed], int(levels[mixed].max()) - 1
+        places = np.repeat(parents + 1, 8)
+        children = children.copy()
+        children[parents] = 255
+        log_odds = np.insert(log_odds, places, np.repeat(log_odds[parents], 8))
+        children = np.insert(children, places, np.uint8(0))
+
+
+def _are_mixed(colors_of: ColorsOf, corners: Array, level: int, voxel_size_m: float) -> NDArray[np.bool_]:
+    """Whether the voxels of each leaf, given by its lowest voxel (N, 3), have different colours."""
+    voxels = np.indices((1 << level,) * 3).reshape(3, -1).T
+    mixed = np.zeros(len(corners), np.bool_)
+    at_once = max(1, _AT_ONCE // len(voxels))
+    for first in range(0, len(corners), at_once):
+        chunk = slice(first, first + at_once)
+        centres = (corners[chunk, None] + (voxels + 0.5)) * voxel_size_m
+        colors = _asked(colors_of, centres.reshape(-1, 3)).reshape(-1, len(voxels), 3)
+        mixed[chunk] = (colors != colors[:, :1]).any(axis=(1, 2))
+    return mixed
 
 
 def _binary(children: Array, log_odds: Array) -> Array:

@@ -1,0 +1,58 @@
+"""Where the labelled voxel next to a point is."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mapping.kernels.hashing import BLOCK_LIMIT, lookup
+from mapping.kernels.packed import has_record
+
+Array: TypeAlias = NDArray[Any]
+Float: TypeAlias = Any
+Int: TypeAlias = Any
+
+
+@njit(cache=True)
+def nearest_cells(table: Array, masks: Array, points: Array, voxel: Float, reach: Float, cells: Array) -> None:
+    """The cell (n,) int64 of the record nearest to each point (n, 3) [m], in place; −1 where none is near.
+
+    That of the voxel in which the point lies, if it has one; else of those whose centres lie within `reach` [m] that
+    with the nearest centre, of equally near ones the first in order of i, j, k.
+    """
+    steps = np.int64(np.ceil(reach / voxel))
+    bound = 8.0 * (BLOCK_LIMIT - 1) - steps
+    last_i: Int = np.int64(BLOCK_LIMIT)
+    last_j: Int = np.int64(BLOCK_LIMIT)
+    last_k: Int = np.int64(BLOCK_LIMIT)
+    slot: Int = np.int64(-1)
+    for n in range(points.shape[0]):
+        cells[n] = -1
+        x, y, z = points[n, 0] / voxel, points[n, 1] / voxel, points[n, 2] / voxel
+        if not (abs(x) < bound and abs(y) < bound and abs(z) < bound):  # also NaN
+            continue
+        ci, cj, ck = np.int64(np.floor(x)), np.int64(np.floor(y)), np.int64(np.floor(z))
+        best = (reach / voxel) ** 2 * (1.0 + 1e-12)
+        for ring in range(2):  # the voxel itself, then all about it
+            r = 0 if ring == 0 else steps
+            if cells[n] >= 0:
+                break
+            for i in range(ci - r, ci + r + 1):
+                for j in range(cj - r, cj + r + 1):
+                    for k in range(ck - r, ck + r + 1):
+                        far = (i + 0.5 - x) ** 2 + (j + 0.5 - y) ** 2 + (k + 0.5 - z) ** 2
+                        if ring == 1 and not (far < best or (far == best and cells[n] < 0)):
+                            continue
+                        bi, bj, bk = i >> 3, j >> 3, k >> 3
+                        if bi != last_i or bj != last_j or bk != last_k:
+                            last_i, last_j, last_k = bi, bj, bk
+                            slot = np.int64(lookup(table, bi, bj, bk))
+                        if slot < 0:
+                            continue
+                        cell = slot << 9 | (i & 7) << 6 | (j & 7) << 3 | (k & 7)
+                        if has_record(masks, cell):
+                            best = far
+                            cells[n] = cell
