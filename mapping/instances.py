@@ -1,7 +1,8 @@
 """Instances that last: the masks of single images, joined over views by their overlap in space.
 
-After Voxblox++ (Grinvald et al. 2019): every fine voxel votes for the instance it belongs to; a mask is the instance on
-whose voxels most of it lies, or a new one. Two instances that are seen through one mask again and again are merged.
+After Voxblox++ (Grinvald et al. 2019): every fine voxel votes for the instance it belongs to; a mask is an instance
+that it overlaps (see `mapping.association`), or a new one. Two instances that are seen through one mask again and again
+are merged; one that is looked at again and has no mask is given up.
 """
 
 from __future__ import annotations
@@ -14,47 +15,59 @@ from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment
 
+from mapping.association import Overlaps, assign, covered, doubted
+from mapping.errors import MappingError
 from mapping.geometry import SE3, CameraIntrinsics
-from mapping.grid import BlockStore
-from mapping.kernels import votes as kernels
-from mapping.layer import BlockLayer, require
+from mapping.grid import ijk_to_centre
+from mapping.kernels import evidence
+from mapping.kernels import instances as kernels
+from mapping.kernels.instances import BACKGROUND
+from mapping.layer import require
+from mapping.packed import PackedLayer, PackedStore
 from mapping.segmentation import Segmentation
 from mapping.semantics import camera_row, pose_rows
 
 Array: TypeAlias = NDArray[Any]
 
-SAME_SHARE = 0.2
-"""A mask is a known instance of its class when this share of its pixels lies on that instance's voxels …"""
-OTHER_CLASS_SHARE = 0.5
-"""… and of another class when this much does: a mislabelled view, but not a cup in front of a bottle."""
-YOUNG_VIEWS = 2
-YOUNG_SHARE = 0.35
-"""An instance seen this few times may have got its class from mislabelled views: then this share is enough."""
 FOUNDING_PIXELS = 100
 """A mask that is no known instance founds one when it has this many pixels."""
-COVERED_SHARE = 0.6
-COVERED_PIXELS = 15
-"""A mask that holds this share of what is visible of another instance, and this many of the pixels looked at, …"""
+CONFIRMED_VIEWS = 2
+"""Voxels tell of an instance that was seen in so many images; what was seen once may be a slip of the segmenter."""
+DOUBTS_A_VIEW = 1
+"""An instance is given up when there were more than so many images for each view of it in which it was looked at and
+not seen."""
 MERGE_VIEWS = 2
 MERGE_VIEWS_OTHER_CLASS = 3
-"""… in so many views, net of views in which both had masks of their own, makes the two one."""
+"""One mask covers two instances in so many views, net of views in which both had masks of their own: they are one."""
 MEAN_MEMORY = 8.0
 """Votes (about: full views) over which a voxel's mean point is taken."""
 LEAST_WEIGHT = 0.15
 LEAST_SHARE = 0.5
-"""A voxel belongs to an instance that holds this many votes (about: full views) and this share of all its votes."""
+"""A voxel is part of an instance that holds this many votes (about: full views) and this share of all its votes."""
+COUNTERS = 2
+"""Instances that a voxel counts votes for, one by one."""
+LOOK_STEP = 2
+"""Every so many-th row and column of an image is looked at to find overlaps."""
 
 
 @dataclass
 class Instance:
-    """What is known of one instance besides its voxels."""
+    """What is known of one instance besides its voxels.
+
+    id      lasting; never given again
+    views   images in which it had a mask;  doubts  those in which it was looked at and had none
+    number  by which its voxels know it; given to another when it has gone
+    labels  class id → votes (about: full views)
+    slots   blocks in which it may have voxels
+    """
 
     id: int
     first_seen_ns: int
     last_seen_ns: int
     views: int = 0
+    doubts: int = 0
+    number: int = 0
     labels: dict[int, float] = field(default_factory=dict)
     slots: set[int] = field(default_factory=set)
 
@@ -70,33 +83,32 @@ class Instance:
 
 @dataclass(frozen=True)
 class InstanceChange:
-    """Instances that got or lost voxels, and those that were merged: lost id → kept id."""
+    """Instances that got or lost voxels, and those that were merged: lost id → kept id.
+
+    A touched instance that the map does not know any more has been given up.
+    """
 
     touched: frozenset[int]
     merged: dict[int, int]
 
 
-class InstanceMap(BlockLayer):
-    """Votes of fine voxels for instances, with the mean of the points that fell into each."""
+class InstanceMap(PackedLayer):
+    """Votes of fine voxels for instances, with the mean of the points that fell into each.
+
+    voxel_size_m  edge of a voxel [m]
+    memory        votes [full views] beyond which what a voxel holds counts half, ≤ 254
+    """
 
     kind = "instances"
 
     def __init__(self, *, voxel_size_m: float, memory: float = 50.0) -> None:
-        self.memory = require("memory", memory, 0.0, 1e6)
-        self.store = BlockStore(
-            {
-                "instance": "u4",
-                "weight": "f4",
-                "second": "u4",
-                "second_weight": "f4",
-                "total": "f4",
-                "mean": ("f4", 3),
-            },
-            voxel_size_m,
-        )
+        self.memory = require("memory", memory, 0.0, evidence.MOST)
+        self.store = PackedStore({"evidence": ("u2", 2 * COUNTERS + 1), "mean": ("i2", 3)}, voxel_size_m)
         self.instances: dict[int, Instance] = {}
         self._next_id = 1
         self._together: defaultdict[tuple[int, int], int] = defaultdict(int)
+        self._id_of = np.zeros(BACKGROUND + 1, np.int64)  # of each number, 0 where it is free
+        self._sizes = np.zeros(BACKGROUND + 1, np.int64)  # voxels in which each number leads
 
     def parameters(self) -> dict[str, Any]:
         return {"voxel_size_m": self.voxel_size_m, "memory": self.memory}
@@ -106,111 +118,95 @@ class InstanceMap(BlockLayer):
     ) -> InstanceChange:
         """Join the pieces of one image to lasting instances and count their votes."""
         camera, pose = camera_row(intrinsics), pose_rows(T_map_camera)
-        ids, together = self._associate(seen, depth_m, camera, pose)
+        overlaps = self._overlaps(seen, depth_m, camera, pose)
+        ids = assign(overlaps)
+        together = self._compare(overlaps, ids)
+        self._found(ids, seen.pixels)
         for piece, instance_id in enumerate(ids.tolist()):
             if instance_id:
                 self._witness(instance_id, int(seen.label[piece]), int(seen.pixels[piece]), stamp_ns)
-
-        choices = np.concatenate([[0], ids]).astype(np.uint32)[seen.pieces]
-        blocks = kernels.touched_blocks(depth_m, choices != 0, camera, pose, self.voxel_size_m, 2)
-        slots = self.store.allocate(blocks)
+        numbers = np.array([0, *(self.instances[i].number if i else 0 for i in ids.tolist())], np.uint16)
         background = (seen.labels != 0) & (seen.pieces == 0)
-        choices[background] = BACKGROUND
-        table, fields = self.store.table, self.store.fields
-        trust = np.ascontiguousarray(seen.trust, dtype=np.float32)
-        kernels.vote_image(
-            table,
-            *(fields[n] for n in ("instance", "weight", "second", "second_weight", "total", "mean")),
-            depth_m,
-            choices,
-            trust,
-            camera,
-            pose,
-            self.voxel_size_m,
-            self.memory,
-            MEAN_MEMORY,
-        )
-        pairs = kernels.blocks_of_choices(table, depth_m, choices, camera, pose, self.voxel_size_m, 1)
-        touched = self._claim(pairs)
-        self._note(slots)
+        choices = np.where(background, np.uint16(BACKGROUND), numbers[seen.pieces])
+        touched = self._vote(choices, seen.trust, depth_m, camera, pose)
         merged = self._merge(together)
-        return InstanceChange(frozenset(touched.union(merged.values())), merged)
+        return InstanceChange(frozenset(touched | set(merged.values()) | self._give_up()), merged)
+
+    def _vote(self, choices: Array, trust: Array, depth_m: Array, camera: Array, pose: Array) -> set[int]:
+        """Count votes of pixels for numbers (H, W); returns the instances that got or lost voxels."""
+        store = self.store
+        cells, votes = np.empty(depth_m.shape, np.int32), np.empty(depth_m.shape, np.uint16)
+        blocks, bare = evidence.cells_of_image(
+            store.table, store.masks, store.n_blocks, depth_m, choices, np.ascontiguousarray(trust, np.float32),
+            camera, pose, self.voxel_size_m, cells, votes,
+        )  # fmt: skip
+        store.allocate(blocks)
+        store.add(bare)
+        self.revision += 1
+        lost = np.zeros(BACKGROUND + 1, np.bool_)
+        pairs = kernels.vote(
+            store.masks, store.first, store.fields["evidence"], store.fields["mean"], self._sizes, lost,
+            store.changed_at, self.revision, cells, votes, choices, depth_m, camera, pose, self.voxel_size_m,
+            int(self.memory * evidence.UNIT), int(MEAN_MEMORY * evidence.UNIT),
+        )  # fmt: skip
+        packed = np.unique(pairs[:, 0] << 32 | pairs[:, 1])
+        numbers, first = np.unique(packed >> 32, return_index=True)
+        for number, slots in zip(numbers.tolist(), np.split(packed & 0xFFFFFFFF, first[1:]), strict=False):
+            self.instances[int(self._id_of[number])].slots.update(slots.tolist())
+        lost[numbers] = True
+        return self._known(lost)
+
+    def _known(self, lost: Array) -> set[int]:
+        """The ids of the instances whose numbers are marked (65536,)."""
+        return set(self._id_of[np.flatnonzero(lost[:BACKGROUND])].tolist()) - {0}
 
     # -- association --------------------------------------------------------------------------------------
-    def _associate(
-        self, seen: Segmentation, depth_m: Array, camera: Array, pose: Array
-    ) -> tuple[Array, list[tuple[int, int]]]:
-        """The instance (n,) of each piece, 0 for a piece that is too small to found one, and pairs seen through one
-        mask."""
-        fields = self.store.fields
-        piece, known, hits, looked = kernels.count_overlaps(
-            self.store.table,
-            fields["instance"],
-            fields["weight"],
-            depth_m,
-            seen.pieces,
-            camera,
-            pose,
-            self.voxel_size_m,
-            2,
-            len(seen),
-        )
-        real = known != BACKGROUND
-        piece, known, hits = piece[real], known[real], hits[real]
-        visible: defaultdict[int, int] = defaultdict(int)
-        for k, n in zip(known.tolist(), hits.tolist(), strict=True):
-            visible[k] += n
-        piece, known, hits = piece[piece > 0] - 1, known[piece > 0], hits[piece > 0]
-        share = hits / np.maximum(looked[1:][piece], 1)
-        same = np.array(
-            [self.instances[k].label == seen.label[p] for p, k in zip(piece, known, strict=True)], dtype=bool
-        )
-        young = np.array([self.instances[k].views <= YOUNG_VIEWS for k in known], dtype=bool)
-        fits = share >= np.where(same, SAME_SHARE, np.where(young, YOUNG_SHARE, OTHER_CLASS_SHARE))
+    def _overlaps(self, seen: Segmentation, depth_m: Array, camera: Array, pose: Array) -> Overlaps:
+        store = self.store
+        piece, number, hits, looked = kernels.count_overlaps(
+            store.table, store.masks, store.first, store.fields["evidence"], depth_m, seen.pieces, camera, pose,
+            self.voxel_size_m, LOOK_STEP, len(seen),
+        )  # fmt: skip
+        visible = np.bincount(number, hits, minlength=BACKGROUND + 1)
+        real = (number != BACKGROUND) & (piece > 0)
+        piece, number, hits = piece[real] - 1, number[real], hits[real]
+        instance = self._id_of[number]
+        label = np.array([self.instances[i].label for i in instance.tolist()], np.int64)
+        return Overlaps(piece, instance, hits, looked[1:], visible[number], label == seen.label[piece])
 
-        ids = np.zeros(len(seen), np.int64)
-        candidates, column = np.unique(known, return_inverse=True)
-        gain = np.zeros((len(seen), len(candidates)))
-        gain[piece[fits], column[fits]] = hits[fits] * np.where(same[fits], 1.5, 1.0)
-        rows, columns = linear_sum_assignment(gain, maximize=True)  # all masks of an image are different things
-        chosen = gain[rows, columns] > 0
-        ids[rows[chosen]] = candidates[columns[chosen]]
-        taken = set(ids[ids > 0].tolist())
-        for p in np.flatnonzero(ids == 0):
-            if seen.pixels[p] >= FOUNDING_PIXELS:
-                ids[p] = self._next_id
-                self._next_id += 1
-        for pair in combinations(sorted(taken), 2):
+    def _compare(self, overlaps: Overlaps, ids: Array) -> list[tuple[int, int]]:
+        """Note what an image tells of pairs of instances and of those without a mask; returns pairs that may be one."""
+        for pair in combinations(sorted(ids[ids > 0].tolist()), 2):
             if pair in self._together:  # two masks in one image: two things
                 self._together[pair] -= 1
-        together = [
-            (int(ids[p]), int(k))
-            for p, k, n in zip(piece, known, hits.tolist(), strict=True)
-            if ids[p]
-            and k != ids[p]
-            and int(k) not in taken
-            and n >= max(COVERED_PIXELS, COVERED_SHARE * visible[int(k)])
-        ]
-        return ids, together
+        for instance_id in doubted(overlaps, ids):
+            self.instances[instance_id].doubts += 1
+        return covered(overlaps, ids)
+
+    def _found(self, ids: Array, pixels: Array) -> None:
+        """Give new ids to masks that are large enough and no known instance, in place."""
+        for piece in np.flatnonzero((ids == 0) & (pixels >= FOUNDING_PIXELS)).tolist():
+            ids[piece] = self._next_id
+            self._next_id += 1
 
     def _witness(self, instance_id: int, label: int, pixels: int, stamp_ns: int) -> None:
         known = self.instances.get(instance_id)
         if known is None:
-            known = self.instances[instance_id] = Instance(instance_id, stamp_ns, stamp_ns)
+            known = self._begin(Instance(instance_id, stamp_ns, stamp_ns, number=self._free_number()))
         known.last_seen_ns = max(known.last_seen_ns, stamp_ns)
         known.views += 1
         known.labels[label] = known.labels.get(label, 0.0) + min(1.0, pixels / 400.0)
 
-    def _claim(self, pairs: Array) -> set[int]:
-        """Note the blocks in which each instance has votes; returns all instances with voxels in blocks that
-        changed."""
-        touched: set[int] = set()
-        pairs = pairs[pairs[:, 0] != BACKGROUND]
-        packed = np.unique(pairs[:, 0] << 32 | pairs[:, 1])
-        for instance_id in np.unique(packed >> 32).tolist():
-            self.instances[instance_id].slots.update((packed[packed >> 32 == instance_id] & 0xFFFFFFFF).tolist())
-            touched.add(instance_id)
-        return touched
+    def _begin(self, instance: Instance) -> Instance:
+        self.instances[instance.id] = instance
+        self._id_of[instance.number] = instance.id
+        return instance
+
+    def _free_number(self) -> int:
+        free = np.flatnonzero(self._id_of[1:BACKGROUND] == 0)
+        if not len(free):
+            raise MappingError(f"an instance map holds {BACKGROUND - 1} instances at most")
+        return int(free[0]) + 1
 
     def _merge(self, together: list[tuple[int, int]]) -> dict[int, int]:
         merged: dict[int, int] = {}
@@ -225,6 +221,35 @@ class InstanceMap(BlockLayer):
                 merged[pair[1]] = pair[0]
         return merged
 
+    def _give_up(self) -> set[int]:
+        """Take back what is more doubted than seen, or has no voxels and was never confirmed; returns the ids."""
+        gone = [
+            i.id
+            for i in self.instances.values()
+            if i.doubts > DOUBTS_A_VIEW * i.views or (i.views < CONFIRMED_VIEWS and self._sizes[i.number] == 0)
+        ]
+        for instance_id in gone:
+            self._end(self.instances[instance_id], 0)
+        return set(gone)
+
+    def _end(self, instance: Instance, heir: int) -> None:
+        """Give the votes for an instance to another number, 0 for none."""
+        kernels.rename(self.store.fields["evidence"], self._rows(instance)[1], self._sizes, instance.number, heir)
+        del self.instances[instance.id]
+        self._id_of[instance.number] = 0
+        for pair in [p for p in self._together if instance.id in p]:
+            del self._together[pair]
+
+    def _absorb(self, kept: int, lost: int) -> None:
+        a, b = self.instances[kept], self.instances[lost]
+        self._end(b, a.number)
+        a.slots |= b.slots
+        a.first_seen_ns, a.last_seen_ns = min(a.first_seen_ns, b.first_seen_ns), max(a.last_seen_ns, b.last_seen_ns)
+        a.views += b.views
+        for label, votes in b.labels.items():
+            a.labels[label] = a.labels.get(label, 0.0) + votes
+
+    # -- as told ------------------------------------------------------------------------------------------
     def join(self, kept: int, lost: int) -> InstanceChange:
         """Make two instances one, as told."""
         self._absorb(kept, lost)
@@ -232,31 +257,33 @@ class InstanceMap(BlockLayer):
 
     def forget(self, instance_id: int) -> None:
         """Give up an instance: its voxels become background until something is seen there again."""
-        gone = self.instances.pop(instance_id)
-        slots = np.fromiter(gone.slots, np.int64, len(gone.slots))
-        fields = self.store.fields
-        kernels.rename(
-            slots,
-            fields["instance"],
-            fields["weight"],
-            fields["second"],
-            fields["second_weight"],
-            instance_id,
-            BACKGROUND,
-        )
-        for pair in [p for p in self._together if instance_id in p]:
-            del self._together[pair]
+        self._end(self.instances[instance_id], BACKGROUND)
+
+    def fade(self, ijk: ArrayLike, gone: ArrayLike) -> set[int]:
+        """Votes in voxels (N, 3) count half; those `gone` (N,) bool, and those with little left, are forgotten.
+
+        Returns the ids of the instances that lost voxels. One that is left without any stays known until it is
+        forgotten or given up.
+        """
+        cells, first = np.unique(self.store.cells_of(np.asarray(ijk, np.int64).reshape(-1, 3)), return_index=True)
+        lost, empty = np.zeros(BACKGROUND + 1, np.bool_), np.empty(len(cells), np.bool_)
+        kernels.fade(
+            self.store.fields["evidence"], self.store.rows(cells), np.asarray(gone, np.bool_)[first], self._sizes, lost,
+            int(0.25 * LEAST_WEIGHT * evidence.UNIT), empty,
+        )  # fmt: skip
+        self.store.remove(cells[empty])
+        self._note(np.unique(cells[cells >= 0] >> 9))
+        return self._known(lost)
 
     # -- state --------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:
         known = list(self.instances.values())
         votes = [(i.id, label, weight) for i in known for label, weight in i.labels.items()]
+        rows = [(i.id, i.first_seen_ns, i.last_seen_ns, i.views, i.doubts, i.number) for i in known]
         return {
             **super().state(),
             "table.next_id": np.array(self._next_id),
-            "table.instances": np.array(
-                [(i.id, i.first_seen_ns, i.last_seen_ns, i.views) for i in known], np.int64
-            ).reshape(-1, 4),
+            "table.instances": np.array(rows, np.int64).reshape(-1, 6),
             "table.votes": np.array(votes, np.float64).reshape(-1, 3),
             "table.together": np.array([(*pair, n) for pair, n in self._together.items()], np.int64).reshape(-1, 3),
         }
@@ -265,84 +292,91 @@ class InstanceMap(BlockLayer):
     def from_state(cls, state: Mapping[str, Array]) -> Self:
         layer = super().from_state(state)
         layer._next_id = int(state["table.next_id"])
-        for id_, first, last, views in state["table.instances"].tolist():
-            layer.instances[id_] = Instance(id_, first, last, views)
+        for id_, first, last, views, doubts, number in state["table.instances"].tolist():
+            layer._begin(Instance(id_, first, last, views, doubts, number))
         for id_, label, weight in state["table.votes"].tolist():
             layer.instances[int(id_)].labels[int(label)] = weight
         for a, b, n in state["table.together"].tolist():
             layer._together[a, b] = n
-        for name in ("instance", "second"):
-            slots, local = np.nonzero(layer.store.used(name))
-            pairs = np.unique(np.stack([layer.store.used(name)[slots, local].astype(np.int64), slots], axis=1), axis=0)
-            for id_, slot in pairs.tolist():
-                if id_ in layer.instances:
-                    layer.instances[id_].slots.add(slot)
+        cells = layer.store.cells()
+        rows = layer.store.rows(cells)
+        held = layer.store.fields["evidence"][rows]
+        for column in range(COUNTERS):
+            there = held[:, COUNTERS + column] > 0
+            pairs = np.unique(held[there, column].astype(np.int64) << 32 | cells[there] >> 9)
+            for pair in pairs.tolist():
+                instance_id = int(layer._id_of[pair >> 32])
+                if instance_id:
+                    layer.instances[instance_id].slots.add(pair & 0xFFFFFFFF)
+        layer._sizes += np.bincount(layer._leaders(rows), minlength=BACKGROUND + 1)
         return layer
-
-    def _absorb(self, kept: int, lost: int) -> None:
-        a, b = self.instances[kept], self.instances.pop(lost)
-        slots = np.fromiter(b.slots, np.int64, len(b.slots))
-        fields = self.store.fields
-        kernels.rename(
-            slots, fields["instance"], fields["weight"], fields["second"], fields["second_weight"], lost, kept
-        )
-        a.slots |= b.slots
-        a.first_seen_ns, a.last_seen_ns = min(a.first_seen_ns, b.first_seen_ns), max(a.last_seen_ns, b.last_seen_ns)
-        a.views += b.views
-        for label, votes in b.labels.items():
-            a.labels[label] = a.labels.get(label, 0.0) + votes
-        for pair in [p for p in self._together if lost in p]:
-            del self._together[pair]
 
     # -- what is there ------------------------------------------------------------------------------------
     def points(self, instance_id: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Surface points (N, 3) [m], one a voxel that the instance has won, and their votes (N,)."""
-        slots = np.sort(np.fromiter(self.instances[instance_id].slots, np.int64))
-        fields = self.store.fields
-        points, weights = kernels.gather(
-            slots,
-            self.block_ijk,
-            fields["instance"],
-            fields["weight"],
-            fields["total"],
-            fields["mean"],
-            instance_id,
-            self.voxel_size_m,
-            LEAST_WEIGHT,
-            LEAST_SHARE,
+        instance, fields = self.instances[instance_id], self.store.fields
+        cells, rows = self._rows(instance)
+        chosen, weights = np.empty(len(rows), np.int64), np.empty(len(rows), np.float32)
+        n = kernels.gather(
+            fields["evidence"], rows, instance.number, int(LEAST_WEIGHT * evidence.UNIT), LEAST_SHARE, chosen, weights
         )
-        return points, weights
+        centres = ijk_to_centre(self.store.ijk(cells[chosen[:n]]), self.voxel_size_m)
+        offsets = fields["mean"][rows[chosen[:n]]] * (self.voxel_size_m / kernels.MEAN_UNIT)
+        return (centres + offsets).astype(np.float32), weights[:n] / np.float32(evidence.UNIT)
+
+    def class_votes(self, ijk: ArrayLike) -> tuple[NDArray[np.uint16], NDArray[np.float32], NDArray[np.float32]]:
+        """What instances say of the class of voxels (N, 3) of this map's size.
+
+        Returns class ids (N,), 0 where no confirmed instance is, the votes (N,) for instances of that class, and those
+        (N,) for others and for background.
+        """
+        rows = self.store.rows(self.store.cells_of(ijk))
+        labels, votes, others = _answers(len(rows))
+        kernels.classes_of(self.store.fields["evidence"], rows, self._classes(), labels, votes, others)
+        return labels, votes, others
 
     def classes(
         self, low: ArrayLike, high: ArrayLike
     ) -> tuple[NDArray[np.uint16], NDArray[np.float32], NDArray[np.float32]]:
         """What instances say of the class of boxes from corners `low` to `high` (N, 3) [m].
 
-        Returns class ids (N,), 0 where there is no instance, the votes (N,) of fine voxels for instances of that class,
-        and their votes (N,) for others and for background.
+        Returns class ids (N,), 0 where no confirmed instance is, the votes (N,) of voxels for instances of that class,
+        and those (N,) of voxels for others and for background.
         """
-        size, n = self.voxel_size_m, len(np.asarray(low))
+        size = self.voxel_size_m
         first = np.floor(np.asarray(low, np.float64) / size + 1e-6).astype(np.int64)
         beyond = np.ceil(np.asarray(high, np.float64) / size - 1e-6).astype(np.int64)
-        known = np.fromiter(self.instances, np.int64, len(self.instances))
-        class_of = np.zeros(int(known.max(initial=0)) + 1, np.uint16)
-        class_of[known] = [instance.label for instance in self.instances.values()]
-        labels, votes, others = np.zeros(n, np.uint16), np.zeros(n, np.float32), np.zeros(n, np.float32)
-        fields = self.store.fields
-        kernels.classes_of_instances(
-            self.store.table, fields["instance"], fields["weight"], class_of, BACKGROUND, first, beyond, labels, votes,
-            others,
+        labels, votes, others = _answers(len(first))
+        store = self.store
+        kernels.classes_of_boxes(
+            store.table, store.masks, store.first, store.fields["evidence"], self._classes(), first, beyond, labels,
+            votes, others,
         )  # fmt: skip
         return labels, votes, others
 
     def query(self, p_map: ArrayLike) -> NDArray[np.uint32]:
-        """The instance (N,) that holds each point (N, 3) [m]; 0 where none does."""
-        slots, local = self.store.locate(p_map)
-        if not self.store.n_blocks:
-            return np.zeros(len(slots), np.uint32)
-        found = self.store.fields["instance"][np.where(slots >= 0, slots, 0), local]
-        return np.where((slots >= 0) & (found != BACKGROUND), found, 0).astype(np.uint32)
+        """The instance (N,) that holds each point (N, 3) [m]; 0 where none does that was seen more than once."""
+        ids = self._id_of * np.isin(self._id_of, [i.id for i in self.instances.values() if i.views >= CONFIRMED_VIEWS])
+        return ids[self._leaders(self.store.rows(self.store.cells_at(p_map)))].astype(np.uint32)
+
+    def _classes(self) -> NDArray[np.uint16]:
+        """(65536,) the class of each number, 0 for none, and for what was seen once."""
+        class_of = np.zeros(BACKGROUND + 1, np.uint16)
+        for instance in self.instances.values():
+            if instance.views >= CONFIRMED_VIEWS:
+                class_of[instance.number] = instance.label
+        return class_of
+
+    def _leaders(self, rows: Array) -> NDArray[np.int64]:
+        numbers = np.empty(len(rows), np.int64)
+        kernels.numbers_of(self.store.fields["evidence"], rows, numbers)
+        return numbers
+
+    def _rows(self, instance: Instance) -> tuple[Array, Array]:
+        """Cells and rows (n,) of all records in the blocks of an instance."""
+        cells = self.store.cells(np.sort(np.fromiter(instance.slots, np.int64, len(instance.slots))))
+        return cells, self.store.rows(cells)
 
 
-BACKGROUND = 0xFFFFFFFF
-"""The vote of labelled surface that is no instance: walls, floors."""
+def _answers(n: int) -> tuple[NDArray[np.uint16], NDArray[np.float32], NDArray[np.float32]]:
+    return np.empty(n, np.uint16), np.empty(n, np.float32), np.empty(n, np.float32)

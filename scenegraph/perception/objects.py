@@ -51,6 +51,9 @@ class Objects:
             else:
                 self._bury(lost, self._node_of.get(kept), changes, reshaped)
         for instance_id in sorted(change.touched - change.merged.keys()):
+            if instance_id not in instances.instances:
+                self._bury(instance_id, None, changes, reshaped)
+                continue
             self._refresh(instances, instance_id, graph, changes, reshaped)
         return changes, reshaped
 
@@ -59,7 +62,7 @@ class Objects:
         if node_id is not None:
             self.shapes.pop(node_id, None)
             self.labels.pop(node_id, None)
-            changes.delete_node(node_id, "the same thing as another", became=kept)
+            changes.delete_node(node_id, "the same thing as another" if kept else "no longer seen", became=kept)
             reshaped.add(node_id)
 
     def _refresh(

@@ -132,6 +132,17 @@ def test_a_node_lives_on_when_its_instance_is_merged_into_an_older_one_without_a
     assert world.graph.node("object_2").box.size[0] == pytest.approx(0.6, abs=0.01)  # type: ignore[union-attr]
 
 
+def test_an_instance_that_the_map_gives_up_takes_its_node_along(world: Watching) -> None:
+    world.update(1)
+    (node,) = world.graph.nodes("object")
+    del world.seen.instances[1]
+    assert world.update(1) == {node.id}
+    assert not world.graph.nodes("object")
+    tombstone = world.graph.tombstone(node.id)
+    assert tombstone is not None
+    assert tombstone.reason == "no longer seen"
+
+
 def test_a_door_is_structure_and_a_thing_that_turns_out_to_be_one_changes_its_layer(world: Watching) -> None:
     world.seen.put(1, "door", CUBE)
     world.update(1)
