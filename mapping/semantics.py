@@ -258,7 +258,10 @@ class SemanticMap(PackedLayer):
             confidence[known] = self._belief(rows[known]).probability[:, 0]
         if self.things is not None and known.any():
             ijk = self.store.ijk(cells[known])
-            of_thing, votes, others = self.things.classes(ijk * self.voxel_size_m, (ijk + 1) * self.voxel_size_m)
+            if self.things.voxel_size_m == self.voxel_size_m:
+                of_thing, votes, others = self.things.class_votes(ijk)
+            else:
+                of_thing, votes, others = self.things.classes(ijk * self.voxel_size_m, (ijk + 1) * self.voxel_size_m)
             sure = votes > np.maximum(others, LEAST_THING_VOTES)
             at = np.flatnonzero(known)[sure]
             labels[at] = of_thing[sure]
