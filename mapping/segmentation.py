@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.kernels import segments as kernels
-from mapping.kernels.bleed import measure_bleed, take_off
+from mapping.kernels.bleed import find_borders, measure_bleed, take_off
 from mapping.observations import RgbdImage
 
 Array: TypeAlias = NDArray[Any]
@@ -83,13 +83,13 @@ class Bleed:
         """The median of the masks seen lately; 0 where none has shown anything."""
         return 0.5 * float(np.searchsorted(np.cumsum(self._masks), 0.5 * self._masks.sum()))
 
-    def measure(self, mask: Array, n: int, depth_m: Array, pixel_m: float) -> Array:
+    def measure(self, mask: Array, borders: Array, n: int, depth_m: Array, pixel_m: float) -> Array:
         """How far each mask of an image bleeds, (n,) int64 [px]: as its own outline shows, else what is typical.
 
         mask (H, W) int32 < n, 0 = background;  depth_m (H, W) float32 [m];  pixel_m: the width of a pixel at 1 m
         """
         counts = np.zeros((n, len(self._masks)), np.int32)
-        measure_bleed(mask, depth_m, DEPTH_STEP_M, DEPTH_STEP_SHARE, RIM_SLOPE, pixel_m, counts)
+        measure_bleed(mask, borders, depth_m, DEPTH_STEP_M, DEPTH_STEP_SHARE, RIM_SLOPE, pixel_m, counts)
         total = counts.sum(axis=1, keepdims=True)
         own = (np.cumsum(counts, axis=1) < OWN_RANK * total).sum(axis=1)
         shown = total[:, 0] >= LEAST_OUTLINE
@@ -105,16 +105,20 @@ def segment(image: RgbdImage, depth_m: Array, things: Array, bleed: Bleed | None
     things  : (65536,) bool: classes that have instances even where the image gives none
     bleed    what earlier images told of the segmenter's bleed, updated; default: this image alone tells
     """
-    labels = np.zeros(depth_m.shape, np.uint16) if image.labels is None else image.labels.copy()
+    labels = np.zeros(depth_m.shape, np.uint16) if image.labels is None else image.labels
     instances = np.zeros(depth_m.shape, np.uint32) if image.instances is None else image.instances
     thing = (instances != 0) | things[labels]
     mask = np.empty(depth_m.shape, np.int32)
     names = kernels.number_masks(np.where(thing, instances.astype(np.int64) << 16 | labels, 0), mask)
+    mask[~thing] = -labels[~thing].astype(np.int32)
     pixel_m = 1.0 / image.intrinsics.fx
-    bleed_px = (Bleed() if bleed is None else bleed).measure(mask, len(names), depth_m, pixel_m)
-    take_off(mask, labels, depth_m, bleed_px, RIM_SHARE, DEPTH_STEP_M, RIM_SLOPE, pixel_m)
+    borders = find_borders(mask)
+    bleed_px = (Bleed() if bleed is None else bleed).measure(mask, borders, len(names), depth_m, pixel_m)
+    take_off(mask, borders, depth_m, bleed_px, RIM_SHARE, DEPTH_STEP_M, RIM_SLOPE, pixel_m)
     distance = np.empty(depth_m.shape, np.uint8)
-    kernels.mask_depths(mask.astype(np.int64) << 16 | labels, distance)
+    kernels.mask_depths(mask.astype(np.int64), distance)
+    labels = np.where(mask > 0, labels, -mask).astype(np.uint16)
+    mask[mask < 0] = 0
     peak = np.empty(depth_m.shape, np.uint8)
     kernels.local_peaks(mask, distance, peak)
     core_px = np.minimum(np.float32(0.5 * CORE_SHARE) * peak, np.float32(BLEED_PX))

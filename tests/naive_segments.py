@@ -17,9 +17,9 @@ def inside(image: np.ndarray, v: int, u: int) -> bool:
 
 def borders(mask: np.ndarray) -> Iterator[tuple[int, int, int, int, int]]:
     """Every background pixel beside a mask, the step into the mask, and which mask that is."""
-    for v, u in np.argwhere(mask == 0).tolist():
+    for v, u in np.argwhere(mask <= 0).tolist():
         for dv, du in FOUR:
-            if inside(mask, v + dv, u + du) and mask[v + dv, u + du]:
+            if inside(mask, v + dv, u + du) and mask[v + dv, u + du] > 0:
                 yield v, u, dv, du, int(mask[v + dv, u + du])
 
 
@@ -33,7 +33,7 @@ def bleeds(
         # the ray of pixels through the border: those of the background up to the gap, then those of the mask
         outer = []
         for s in range(gap):
-            if not inside(mask, v - s * dv, u - s * du) or mask[v - s * dv, u - s * du]:
+            if not inside(mask, v - s * dv, u - s * du) or mask[v - s * dv, u - s * du] > 0:
                 break
             outer.append(-s)
         inner = []
@@ -55,25 +55,23 @@ def bleeds(
 
 
 def without_rims(
-    mask: np.ndarray, labels: np.ndarray, depth: np.ndarray, bleed: np.ndarray, share: float, step_m: float,
-    slope: float, pixel_m: float,
-) -> tuple[np.ndarray, dict[tuple[int, int], set[int]]]:  # fmt: skip
-    """The masks without their rims, and which labels the nearest backgrounds of each rim pixel have."""
-    rims: dict[tuple[int, int], dict[int, set[int]]] = {}
+    mask: np.ndarray, depth: np.ndarray, bleed: np.ndarray, share: float, step_m: float, slope: float, pixel_m: float
+) -> dict[tuple[int, int], set[int]]:
+    """What each pixel of the masks may become: the background at the nearest border that faces it, or the mask."""
+    facing: defaultdict[tuple[int, int], defaultdict[int, set[tuple[int, int]]]]
+    facing = defaultdict(lambda: defaultdict(set))
     for v, u, dv, du, m in borders(mask):
         for a, b in np.argwhere(mask == m).tolist():
             down, right = a - v, b - u
-            square = down**2 + right**2
-            ahead, aside = down * dv + right * du, abs(down * du) + abs(right * dv)
-            if square > bleed[m] ** 2 or ahead < aside or depth[v, u] <= 0:
-                continue
-            behind = (v + round(down / share), u + round(right / share))
-            if inside(mask, *behind) and mask[behind] != m:
-                continue
-            z = depth[v, u]
-            if abs(depth[a, b] - z) < step_m + slope * np.sqrt(square) * z * pixel_m:
-                rims.setdefault((a, b), {}).setdefault(square, set()).add(int(labels[v, u]))
-    left = mask.copy()
-    for pixel in rims:
-        left[pixel] = 0
-    return left, {pixel: of[min(of)] for pixel, of in rims.items()}
+            if depth[v, u] > 0 and down * dv + right * du >= abs(down * du) + abs(right * dv):
+                facing[a, b][down**2 + right**2].add((v, u))
+    choices = {}
+    for pixel, by_distance in facing.items():
+        square, m, choices[pixel] = min(by_distance), mask[pixel], set()
+        for v, u in by_distance[square]:
+            behind = (v + round((pixel[0] - v) / share), u + round((pixel[1] - u) / share))
+            goes_on = not inside(mask, *behind) or mask[behind] == m
+            limit = step_m + slope * np.sqrt(square) * depth[v, u] * pixel_m
+            rim = square <= bleed[m] ** 2 and goes_on and abs(depth[pixel] - depth[v, u]) < limit
+            choices[pixel].add(int(mask[v, u] if rim else m))
+    return choices

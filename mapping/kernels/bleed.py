@@ -1,6 +1,7 @@
 """How far masks reach beyond their things: measured where depth shows a thing's outline, taken off where it does not.
 
-A *mask* image numbers the masks of things in an image; 0 is background: what is labelled as stuff, or not at all.
+A *mask* image numbers the masks of things in an image from 1; pixels of the background have minus their label, 0 where
+they have none.
 """
 
 from __future__ import annotations
@@ -17,105 +18,140 @@ GAP_PX = 6  # depth is looked for at most this far beside a jump, where cameras 
 
 
 @njit(cache=True)
+def find_borders(mask: Array) -> Array:
+    """Where masks (H, W) int32 border on the background: (n,) int32 4 · pixel of the background + way into the mask.
+
+    Pixels are counted row by row; ways are 0 up, 1 down, 2 left, 3 right.
+    """
+    height, width = mask.shape
+    found = np.empty(2 * height * width, np.int32)
+    n = 0
+    for v in range(height):
+        for u in range(width):
+            thing = mask[v, u] > 0
+            pixel = v * width + u
+            if v > 0 and (mask[v - 1, u] > 0) != thing:
+                found[n] = 4 * (pixel - width) + 1 if thing else 4 * pixel
+                n += 1
+            if u > 0 and (mask[v, u - 1] > 0) != thing:
+                found[n] = 4 * (pixel - 1) + 3 if thing else 4 * pixel + 2
+                n += 1
+    return found[:n].copy()
+
+
+@njit(cache=True, inline="always")
+def _step(way: int) -> tuple[int, int]:
+    """Rows and columns that one step on this way goes."""
+    return (-1, 0) if way == 0 else (1, 0) if way == 1 else (0, -1) if way == 2 else (0, 1)
+
+
+@njit(cache=True)
 def measure_bleed(
-    mask: Array, depth: Array, step_m: float, step_share: float, slope: float, pixel_m: float, counts: Array
+    mask: Array,
+    borders: Array,
+    depth: Array,
+    step_m: float,
+    step_share: float,
+    slope: float,
+    pixel_m: float,
+    counts: Array,
 ) -> None:
     """Count how far each mask reaches beyond its thing, in place, at border pixels where depth shows the outline.
 
-    mask   : (H, W) int32; depth (H, W) float32 [m], 0 = not measured
+    mask   : (H, W) int32; borders (n,) as found in it; depth (H, W) float32 [m], 0 = not measured
     slope  : surfaces are no steeper than this against the image plane; pixel_m: the width of a pixel at 1 m
     counts : (n_masks + 1, bins) int32: border pixels by reach [half pixels]; farther ones are not counted
 
-    From every background pixel that touches a mask the look goes straight into the mask until depth jumps towards the
-    camera by more than noise and slope allow: there is the outline. Cameras lose as much depth on either side of a
-    jump, so it lies midway between the two pixels measured next to it.
+    From every background pixel at a border the look goes straight into the mask until depth jumps towards the camera by
+    more than noise and slope allow: there is the outline. Cameras lose as much depth on either side of a jump, so it
+    lies midway between the two pixels measured next to it.
     """
     height, width = mask.shape
     bins = counts.shape[1]
-    for v in range(height):
-        for u in range(width):
-            if mask[v, u] != 0:
+    for i in range(len(borders)):
+        v, u = borders[i] // 4 // width, borders[i] // 4 % width
+        dv, du = _step(borders[i] % 4)
+        m = mask[v + dv, u + du]
+        behind, at = np.float32(0.0), 0  # the depth measured last, and how many pixels from here
+        for outside in range(GAP_PX):
+            a, b = v - outside * dv, u - outside * du
+            if a < 0 or b < 0 or a >= height or b >= width or mask[a, b] > 0:
+                break
+            if depth[a, b] > 0.0:
+                behind, at = depth[a, b], -outside
+                break
+        for inside in range(1, bins // 2 + GAP_PX):
+            a, b = v + inside * dv, u + inside * du
+            if a < 0 or b < 0 or a >= height or b >= width or mask[a, b] != m:
+                break
+            z = depth[a, b]
+            if not z > 0.0:
                 continue
-            for n in range(4):
-                dv, du = (-1, 0) if n == 0 else (1, 0) if n == 1 else (0, -1) if n == 2 else (0, 1)
-                a, b = v + dv, u + du
-                if a < 0 or b < 0 or a >= height or b >= width or mask[a, b] == 0:
-                    continue
-                m = mask[a, b]
-                behind, at = np.float32(0.0), 0  # the depth measured last, and how many pixels from here
-                for outside in range(GAP_PX):
-                    a, b = v - outside * dv, u - outside * du
-                    if a < 0 or b < 0 or a >= height or b >= width or mask[a, b] != 0:
-                        break
-                    if depth[a, b] > 0.0:
-                        behind, at = depth[a, b], -outside
-                        break
-                for inside in range(1, bins // 2 + GAP_PX):
-                    a, b = v + inside * dv, u + inside * du
-                    if a < 0 or b < 0 or a >= height or b >= width or mask[a, b] != m:
-                        break
-                    z = depth[a, b]
-                    if not z > 0.0:
-                        continue
-                    if behind > 0.0 and behind - z > step_m + (step_share + slope * (inside - at) * pixel_m) * z:
-                        reach = max(inside + at - 1, 0)
-                        if reach < bins:
-                            counts[m, reach] += 1
-                        break
-                    behind, at = z, inside
+            if behind > 0.0 and behind - z > step_m + (step_share + slope * (inside - at) * pixel_m) * z:
+                reach = max(inside + at - 1, 0)
+                if reach < bins:
+                    counts[m, reach] += 1
+                break
+            behind, at = z, inside
 
 
 @njit(cache=True)
 def take_off(
-    mask: Array, labels: Array, depth: Array, bleed: Array, share: float, step_m: float, slope: float, pixel_m: float
+    mask: Array, borders: Array, depth: Array, bleed: Array, share: float, step_m: float, slope: float, pixel_m: float
 ) -> int:
     """Give the rims of masks to the background that they lie on, in place; returns how many pixels that were.
 
-    mask   : (H, W) int32, 0 where taken off;  labels (H, W) uint16: there that of the nearest background beside it
-    depth  : (H, W) float32 [m], 0 = not measured
-    bleed  : (n_masks + 1,) int64 [px]: how wide the rim of each mask is, at most 15
-    share  : of a mask's width that may be taken off one side
+    mask    : (H, W) int32; a pixel taken off becomes what the nearest background is
+    borders : (n,) as found in it;  depth (H, W) float32 [m], 0 = not measured
+    bleed   : (n_masks + 1,) int64 [px]: how wide the rim of each mask is, at most 15
+    share   : of a mask's width that may be taken off one side
 
-    A pixel is of the rim when a background pixel beside the mask is no farther than its bleed, straight ahead or up to
-    45° aside, and the surface goes on from there: depths differ by less than step_m + slope · d · z · pixel_m.
+    Of the background pixels at a mask's border that were measured, one faces a pixel of the mask that lies straight
+    ahead or up to 45° aside. A pixel is of the rim when the nearest that faces it is no farther than the mask's bleed
+    and the surface goes on from there: depths differ by less than step_m + slope · d · z · pixel_m.
     """
     height, width = mask.shape
     nearest = np.zeros((height, width), np.uint8)  # squared distance to the nearest background so far, 0 = none
     source = np.empty((height, width), np.int32)
     rim = np.empty(height * width, np.int32)
     n_rim = 0
-    for v in range(height):
-        for u in range(width):
-            z = depth[v, u]
-            if mask[v, u] != 0 or not z > 0.0:
-                continue
-            for n in range(4):
-                dv, du = (-1, 0) if n == 0 else (1, 0) if n == 1 else (0, -1) if n == 2 else (0, 1)
-                a, b = v + dv, u + du
-                if a < 0 or b < 0 or a >= height or b >= width or mask[a, b] == 0:
+    for i in range(len(borders)):
+        v, u = borders[i] // 4 // width, borders[i] // 4 % width
+        dv, du = _step(borders[i] % 4)
+        m = mask[v + dv, u + du]
+        r = bleed[m]
+        if r == 0 or not depth[v, u] > 0.0:
+            continue
+        # what lies aside is nearer to the next pixel of the border, if the border goes straight on there
+        left, right = 1, 1
+        for side in (-1, 1):
+            a, b = v + side * du, u + side * dv
+            within = 0 <= a < height and 0 <= b < width
+            if within and mask[a, b] <= 0 and depth[a, b] > 0.0 and mask[a + dv, b + du] == m:
+                left, right = (0, right) if side < 0 else (left, 0)
+        for ahead in range(1, r + 1):
+            for aside in range(-left * ahead, right * ahead + 1):
+                square = ahead * ahead + aside * aside
+                a, b = v + ahead * dv + aside * du, u + ahead * du + aside * dv
+                if square > r * r or a < 0 or b < 0 or a >= height or b >= width or mask[a, b] != m:
                     continue
-                m = mask[a, b]
-                r = bleed[m]
-                for along in range(1, r + 1):
-                    for aside in range(-along, along + 1):
-                        square = along * along + aside * aside
-                        down, right = along * dv + aside * du, along * du + aside * dv
-                        a, b = v + down, u + right
-                        if square > r * r or a < 0 or b < 0 or a >= height or b >= width or mask[a, b] != m:
-                            continue
-                        if 0 < nearest[a, b] <= square:
-                            continue
-                        c, d = v + int(np.rint(down / share)), u + int(np.rint(right / share))
-                        if 0 <= c < height and 0 <= d < width and mask[c, d] != m:
-                            continue
-                        if not abs(depth[a, b] - z) < step_m + slope * np.sqrt(square) * z * pixel_m:
-                            continue
-                        if nearest[a, b] == 0:
-                            rim[n_rim] = a * width + b
-                            n_rim += 1
-                        nearest[a, b], source[a, b] = square, v * width + u
+                if nearest[a, b] == 0:
+                    rim[n_rim] = a * width + b
+                    n_rim += 1
+                elif square >= nearest[a, b]:
+                    continue
+                nearest[a, b], source[a, b] = square, v * width + u
+    taken = 0
     for i in range(n_rim):
         v, u = rim[i] // width, rim[i] % width
-        mask[v, u] = 0
-        labels[v, u] = labels[source[v, u] // width, source[v, u] % width]
-    return n_rim
+        a, b = source[v, u] // width, source[v, u] % width
+        c, d = a + int(np.rint((v - a) / share)), b + int(np.rint((u - b) / share))
+        if 0 <= c < height and 0 <= d < width and mask[c, d] != mask[v, u]:
+            continue
+        if abs(depth[v, u] - depth[a, b]) < step_m + slope * np.sqrt(nearest[v, u]) * depth[a, b] * pixel_m:
+            rim[taken] = rim[i]
+            taken += 1
+    for i in range(taken):
+        v, u = rim[i] // width, rim[i] % width
+        mask[v, u] = mask[source[v, u] // width, source[v, u] % width]
+    return taken

@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
 from mapping.geometry import CameraIntrinsics
-from mapping.kernels.bleed import GAP_PX, measure_bleed, take_off
+from mapping.kernels.bleed import GAP_PX, find_borders, measure_bleed, take_off
 from mapping.observations import RgbdImage
 from mapping.segmentation import Bleed, Segmentation, segment
 from tests import naive_segments as naive
@@ -21,36 +21,39 @@ WALL, FLOOR, PICTURE, SHOE = 1, 2, 3, 4
 THINGS = np.zeros(1 << 16, bool)
 THINGS[[PICTURE, SHOE]] = True
 
-mask_images = hnp.arrays(np.int32, (7, 9), elements=st.sampled_from([0, 0, 1, 1, 1, 2]))
+mask_images = hnp.arrays(np.int32, (7, 9), elements=st.sampled_from([0, -5, -6, 1, 1, 1, 2]))
 depth_images = hnp.arrays(np.float32, (7, 9), elements=st.sampled_from([0.0, 1.0, 1.0, 1.01, 1.2, 2.0]))
-label_images = hnp.arrays(np.uint16, (7, 9), elements=st.sampled_from([0, 5, 6]))
+some_pixels = st.integers(0, 5)
+
+
+@given(mask=mask_images)
+def test_borders_are_those_of_the_naive_reference(mask: np.ndarray) -> None:
+    ways = {step: way for way, step in enumerate(naive.FOUR)}
+    expected = [4 * (v * 9 + u) + ways[dv, du] for v, u, dv, du, _ in naive.borders(mask)]
+    assert sorted(find_borders(mask).tolist()) == sorted(expected)
 
 
 @settings(max_examples=100, deadline=None)
 @given(mask=mask_images, depth=depth_images)
 def test_bleed_is_measured_as_by_the_naive_reference(mask: np.ndarray, depth: np.ndarray) -> None:
     counts = np.zeros((3, 8), np.int32)
-    measure_bleed(mask, depth, 0.02, 0.015, 3.0, 0.002, counts)
+    measure_bleed(mask, find_borders(mask), depth, 0.02, 0.015, 3.0, 0.002, counts)
     found = {m: {k: int(n) for k, n in enumerate(counts[m]) if n} for m in range(3) if counts[m].any()}
     assert found == naive.bleeds(mask, depth, 0.02, 0.015, 3.0, 0.002, GAP_PX, 8)
 
 
 @settings(max_examples=100, deadline=None)
-@given(mask=mask_images, depth=depth_images, labels=label_images, bleed=st.tuples(st.integers(0, 5), st.integers(0, 5)))
+@given(mask=mask_images, depth=depth_images, one=some_pixels, two=some_pixels, share=st.sampled_from([0.3, 0.45, 1.0]))
 def test_rims_are_those_of_the_naive_reference(
-    mask: np.ndarray, depth: np.ndarray, labels: np.ndarray, bleed: tuple[int, int]
+    mask: np.ndarray, depth: np.ndarray, one: int, two: int, share: float
 ) -> None:
-    bleed_px = np.array([0, *bleed])
-    left, choices = naive.without_rims(mask, labels, depth, bleed_px, 0.4, 0.02, 3.0, 0.002)
-    found, given_labels = mask.copy(), labels.copy()
-    n = take_off(found, given_labels, depth, bleed_px, 0.4, 0.02, 3.0, 0.002)
-    assert (found == left).all()
-    assert n == len(choices)
-    for pixel, allowed in choices.items():
-        assert given_labels[pixel] in allowed
-    kept = np.ones(mask.shape, bool)
-    kept[tuple(np.array(list(choices), int).reshape(-1, 2).T)] = False
-    assert (given_labels == labels)[kept].all()
+    bleed_px = np.array([0, one, two])
+    choices = naive.without_rims(mask, depth, bleed_px, share, 0.02, 3.0, 0.002)
+    found = mask.copy()
+    n = take_off(found, find_borders(mask), depth, bleed_px, share, 0.02, 3.0, 0.002)
+    assert n == (found != mask).sum()
+    for pixel, was in np.ndenumerate(mask):
+        assert found[pixel] in choices.get(pixel, {was})
 
 
 def disc(u: float, v: float, radius: float) -> np.ndarray:
@@ -88,7 +91,7 @@ def test_an_outline_in_depth_tells_how_far_a_mask_bleeds(pixels: int, with_gap: 
     mask = grown(true, pixels).astype(np.int32)
     bleed = Bleed()
     assert bleed.typical_px == 0.0
-    px = bleed.measure(mask, 2, depth, 1.0 / CAMERA.fx)
+    px = bleed.measure(mask, find_borders(mask), 2, depth, 1.0 / CAMERA.fx)
     assert abs(px[1] - pixels) <= 1
     assert abs(bleed.typical_px - pixels) <= 0.5
 
