@@ -145,7 +145,11 @@ class Printer:
         told = evaluation.as_json()
         noise = told["noise"]
         faults = f", {noise['mislabelled']:.0%} of things mislabelled an image" if noise else ""
-        self.table(f"{told['seeds']} simulated homes{faults}", ("figure", "value"), told["figures"].items())
+        self.table(
+            f"{told['seeds']} simulated home{'' if told['seeds'] == 1 else 's'}{faults}",
+            ("figure", "value"),
+            told["figures"].items(),
+        )
         if told["semantics.accuracy_by_views"]:
             self.table(
                 "labels of voxels, by the number of images that labelled them",
