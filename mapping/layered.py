@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
+from mapping.clearing import seen_through
 from mapping.esdf import EsdfMap
 from mapping.geometry import SE3
 from mapping.instances import InstanceChange, InstanceMap
@@ -29,6 +31,8 @@ REGISTRATION_STEP = 12
 """Every so many-th row and column of an image takes part in the correction of its pose …"""
 REGISTRATION_RANGE_M = 4.5
 """… where it measured less than this."""
+MOVING_RIM_PX = 3
+"""Masks of what moves are taken for so much larger: what they leave out, later views show anyway."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,7 @@ class LayeredMap:
         self.semantics.things = self.instances
         self.planes = PlaneMap(voxel_size_m)
         self.esdf = self._distance_field()
+        self._images = 0
 
     @property
     def layers(self) -> dict[str, MapLayer]:
@@ -92,22 +97,34 @@ class LayeredMap:
         self.planes.restore(state["planes"])
         self.esdf = self._distance_field()
 
-    def integrate_image(self, image: RgbdImage, T_map_camera: SE3, things: Array) -> MapChange:
-        """Fuse an image; `things` (65536,) bool marks the class ids that have instances."""
-        T_map_camera = self._corrected(image, T_map_camera)
-        view = DepthView(image.depth_m, image.intrinsics, T_map_camera, self.max_range_m)
+    def integrate_image(
+        self, image: RgbdImage, T_map_camera: SE3, things: Array, moving: Array | None = None
+    ) -> MapChange:
+        """Fuse an image.
+
+        things  (65536,) bool: class ids that have instances
+        moving  (65536,) bool: class ids of what moves by itself and is to be left out of the map
+        """
+        depth_m = image.depth_m
+        if moving is not None and image.labels is not None and moving.any():
+            depth_m = np.where(beside(moving[image.labels], MOVING_RIM_PX), np.float32(0.0), depth_m)
+        T_map_camera = self._corrected(image, depth_m, T_map_camera)
+        view = DepthView(depth_m, image.intrinsics, T_map_camera, self.max_range_m)
         occupancy = self.occupancy.integrate_view(view)
         registered = image.color if image.T_depth_color is None and image.color_intrinsics is None else None
         tsdf = self.tsdf.integrate_view(view, color=registered)
         planes = self.planes.update(self.tsdf, tsdf)
-        return MapChange(occupancy, tsdf, planes, self._vote(image, T_map_camera, things), T_map_camera)
+        instances = self._vote(image, depth_m, T_map_camera, things)
+        lost = self._clear(view)
+        instances = replace(instances, touched=instances.touched | lost)
+        return MapChange(occupancy, tsdf, planes, instances, T_map_camera)
 
-    def _corrected(self, image: RgbdImage, T_map_camera: SE3) -> SE3:
+    def _corrected(self, image: RgbdImage, depth_m: Array, T_map_camera: SE3) -> SE3:
         """The pose as the map corrects it, where it is uncertain."""
         if image.covariance is None:
             return T_map_camera
         rows, columns = (slice(REGISTRATION_STEP // 2, None, REGISTRATION_STEP),) * 2
-        depth = image.depth_m[rows, columns]
+        depth = depth_m[rows, columns]
         near = (depth > 0.0) & (depth < REGISTRATION_RANGE_M)
         rays = image.intrinsics.rays()[rows, columns]
         return refine_pose(self.tsdf, (rays * depth[..., None])[near], T_map_camera, image.covariance)
@@ -116,15 +133,24 @@ class LayeredMap:
         """Add the labels of an image whose depth was fused before."""
         nothing = np.empty((0, 3), np.int32)
         unchanged = (Changed(nothing, self.occupancy.block_size_m), Changed(nothing, self.tsdf.block_size_m))
-        return MapChange(*unchanged, instances=self._vote(image, T_map_camera, things))
+        return MapChange(*unchanged, instances=self._vote(image, image.depth_m, T_map_camera, things))
 
-    def _vote(self, image: RgbdImage, T_map_camera: SE3, things: Array) -> InstanceChange:
+    def _vote(self, image: RgbdImage, depth_m: Array, T_map_camera: SE3, things: Array) -> InstanceChange:
         if image.labels is None:
             return InstanceChange(frozenset(), {})
-        depth_m = np.where(image.depth_m < self.label_range_m, image.depth_m, np.float32(0.0))
+        depth_m = np.where(depth_m < self.label_range_m, depth_m, np.float32(0.0))
         seen = segment(image, depth_m, things)
         self.semantics.integrate_image(depth_m, seen.labels, seen.trust, image.intrinsics, T_map_camera)
         return self.instances.integrate_image(seen, depth_m, image.intrinsics, T_map_camera, image.stamp_ns)
+
+    def _clear(self, view: DepthView) -> set[int]:
+        """Let what is known of voxels fade through which free space is seen; returns the instances that lost some."""
+        self._images += 1
+        voxels, sure = seen_through(view, self.semantics.store, self.occupancy, turn=self._images)
+        if not len(voxels):
+            return set()
+        self.semantics.fade(voxels, sure)
+        return self.instances.fade(voxels, sure)
 
     def integrate_scan(self, scan: Scan, T_map_sensor: SE3) -> MapChange:
         """Fuse a scan; labels of points vote for classes."""
@@ -135,3 +161,10 @@ class LayeredMap:
             near = np.linalg.norm(scan.points, axis=1) < self.max_range_m
             self.semantics.integrate(T_map_sensor @ scan.points[near], scan.labels[near])
         return MapChange(occupancy, tsdf, planes)
+
+
+def beside(mask: Array, pixels: int) -> Array:
+    """(H, W) bool: the pixels that lie no more rows or columns than that from one of `mask`."""
+    size = 2 * pixels + 1
+    wide: Array = maximum_filter(mask, size=size, mode="constant")
+    return wide

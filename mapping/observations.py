@@ -405,10 +405,12 @@ class Transform(Observation):
 
 
 class ClassInfo(Observation):
-    """One class of a label space. *Things* have instances, *stuff* does not."""
+    """One class of a label space. *Things* have instances, *stuff* does not; what *moves* by itself (people, pets,
+    other robots) is no part of the static map unless the world is told to fuse all."""
 
     name: Annotated[str, Field(min_length=1, max_length=128)]
     kind: Literal["thing", "stuff"] = "thing"
+    moves: bool = False
     color: tuple[int, int, int] | None = None
     parent: str | None = None
 

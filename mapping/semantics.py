@@ -212,15 +212,18 @@ class SemanticMap(PackedLayer):
         records[rows] = held
         self._note(np.arange(self.store.n_blocks))
 
-    def fade(self, ijk: ArrayLike) -> Changed:
-        """What voxels (N, 3) hold counts half; those with less than LEAST_LEFT of a view left are forgotten."""
-        cells = np.unique(self.store.cells_of(np.asarray(ijk, np.int32).reshape(-1, 3)))
-        rows = self.store.rows(cells)
-        cells, rows = cells[rows >= 0], rows[rows >= 0]
+    def fade(self, ijk: ArrayLike, gone: ArrayLike | None = None) -> Changed:
+        """What voxels (N, 3) hold counts half; those with less than LEAST_LEFT of a view left, and those that are
+        `gone` (N,), are forgotten."""
+        given = self.store.cells_of(np.asarray(ijk, np.int32).reshape(-1, 3))
+        lost = np.zeros(len(given), np.bool_) if gone is None else np.asarray(gone, np.bool_)
+        cells, at = np.unique(given, return_index=True)
+        lost, rows = lost[at], self.store.rows(cells)
+        cells, lost, rows = cells[rows >= 0], lost[rows >= 0], rows[rows >= 0]
         records = self.store.fields["evidence"]
         kernels.halve(records, rows)
         held = records[rows, self.kept :].sum(axis=1, dtype=np.int64)
-        self.store.remove(cells[held < LEAST_LEFT * kernels.UNIT])
+        self.store.remove(cells[lost | (held < LEAST_LEFT * kernels.UNIT)])
         return self._note(np.unique(cells >> 9))
 
     # -- what is known ------------------------------------------------------------------------------------

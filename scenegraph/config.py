@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -15,10 +15,11 @@ Metres = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 class WorldConfig(BaseModel):
     """Parameters of a world; all lengths in metres.
 
-    voxel_size_m          edge of the voxels of the metric and semantic layers
-    instance_voxel_size_m edge of the voxels of which things are made; default half a voxel, at most 2.5 cm
+    voxel_size_m          edge of the voxels of the metric layers
+    instance_voxel_size_m edge of the voxels of classes and things; default half a voxel, at most 2.5 cm
     max_range_m           surfaces beyond this distance from the sensor are not mapped
     label_range_m         labels beyond this are not believed
+    moving                what becomes of classes that move by themselves: left out of the map, or fused like all else
     rule_files            Prolog files of the user, loaded after the rules that come with the package
     robot_radius_m        of robots that do not describe themselves
     """
@@ -29,6 +30,7 @@ class WorldConfig(BaseModel):
     instance_voxel_size_m: Metres | None = None
     max_range_m: Metres = 6.0
     label_range_m: Metres = 5.0
+    moving: Literal["leave_out", "fuse"] = "leave_out"
     rule_files: tuple[Path, ...] = ()
     robot_radius_m: Metres = 0.25
 

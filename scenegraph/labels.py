@@ -22,6 +22,7 @@ class Labels:
         self._ids: dict[str, int] = {}
         self._tables: dict[tuple[str | None, str | None], NDArray[np.uint16]] = {}
         self._things = np.zeros(N_IDS, bool)
+        self._moving = np.zeros(N_IDS, bool)
 
     def learn(self, space: LabelSpace) -> list[ClassInfo]:
         """Take in a label space; returns the classes that were not known by name. Ids keep their meaning for good."""
@@ -29,9 +30,7 @@ class Labels:
         table = np.zeros(N_IDS, np.uint16)
         for sensor_id, info in sorted(space.classes.items()):
             if info.name not in self._ids:
-                self._classes.append(info)
-                self._ids[info.name] = len(self._classes)
-                self._things[len(self._classes)] = info.kind == "thing"
+                self._add(info)
                 fresh.append(info)
             table[sensor_id] = self._ids[info.name]
         self._tables[space.robot, space.sensor] = table
@@ -60,10 +59,14 @@ class Labels:
     def id_of(self, name: str) -> int:
         """The id of a class by name; a name that no label space has is taken in as a thing."""
         if name not in self._ids:
-            self._classes.append(ClassInfo(name=name))
-            self._ids[name] = len(self._classes)
-            self._things[len(self._classes)] = True
+            self._add(ClassInfo(name=name))
         return self._ids[name]
+
+    def _add(self, info: ClassInfo) -> None:
+        self._classes.append(info)
+        self._ids[info.name] = len(self._classes)
+        self._things[len(self._classes)] = info.kind == "thing"
+        self._moving[len(self._classes)] = info.moves
 
     def name(self, class_id: int) -> str:
         """The class name of an id."""
@@ -77,9 +80,7 @@ class Labels:
     def restore(self, document: dict[str, Any]) -> None:
         """Take over what `document` gave."""
         for info in document["classes"]:
-            self._classes.append(ClassInfo(**info))
-            self._ids[info["name"]] = len(self._classes)
-            self._things[len(self._classes)] = info["kind"] == "thing"
+            self._add(ClassInfo(**info))
         for robot, sensor, pairs in document["tables"]:
             table = np.zeros(N_IDS, np.uint16)
             for sensor_id, class_id in pairs:
@@ -95,3 +96,8 @@ class Labels:
     def things(self) -> NDArray[np.bool_]:
         """(65536,) whether a class id has instances."""
         return self._things
+
+    @property
+    def moving(self) -> NDArray[np.bool_]:
+        """(65536,) whether what a class id names moves by itself."""
+        return self._moving

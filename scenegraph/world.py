@@ -102,7 +102,8 @@ class World:
             image = image.model_copy(update={"labels": labels})
         else:
             image = self._desk.label(image, self.labels)
-        change = self.map.integrate_image(image, T_map_camera, self.labels.things)
+        moving = self.labels.moving if self.config.moving == "leave_out" else None
+        change = self.map.integrate_image(image, T_map_camera, self.labels.things, moving)
         self.T_map_camera = change.T_map_camera or T_map_camera
         self._desk.keep(image, self.T_map_camera)
         return change

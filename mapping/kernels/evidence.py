@@ -49,7 +49,7 @@ def cells_of_image(
     camera (4,) fx, fy, cx, cy; pose (3, 4) camera in map; voxel: edge [m]
     cells (H, W) int32, −1 where there is no vote; votes (H, W) uint16 [1/UNIT]
 
-    A pixel counts the share of a voxel's face that it covers, (z/f)² / v², so that a full view counts about one
+    A pixel counts the share of a voxel's face that it covers, (z/f)² / v² or 1, so that a full view counts about one
     whatever the distance; shares of a unit are rounded up and down in turn (by Roberts' R₂ sequence), so that their sum
     is right. Where pixels are far denser than voxels every other row and column is enough. Blocks that the table does
     not have are numbered on from n_blocks and returned (m, 3) int32, in that order; with the cells (k,) int32 that have
@@ -76,12 +76,12 @@ def cells_of_image(
             z = np.float64(depth[v, u])
             if choices[v, u] == 0 or not z > 0.0:
                 continue
-            w = trust[v, u] * z * z * scale
+            share = z * z * scale
             if z < dense:
                 if (u | v) & 1:
                     continue
-                w *= 4.0
-            count = np.int64(w + (0.7548776662 * u + 0.5698402910 * v) % 1.0)
+                share *= 4.0
+            count = np.int64(trust[v, u] * min(share, UNIT) + (0.7548776662 * u + 0.5698402910 * v) % 1.0)
             if count <= 0:
                 continue
             x, y = (u - camera[2]) / camera[0] * z, y_z * z
@@ -116,8 +116,9 @@ def cells_of_image(
 def give(records: Array, row: Int, choice: Int, count: Int, limit: Int) -> None:
     """Add evidence for a class ≠ 0 to a record, in place; if that is more than `limit`, what it held counts half.
 
-    count ≤ limit
+    count > 0 is cut off at limit
     """
+    count = min(count, limit)
     k = records.shape[1] // 2
     held: Int = np.int64(0)
     for c in range(k, 2 * k + 1):

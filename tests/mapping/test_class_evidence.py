@@ -279,9 +279,10 @@ def test_a_pixel_counts_for_the_voxel_of_its_point(seed) -> None:
     )  # fmt: skip
     assert len(blocks) == len(bare) == 0, "all is there already"
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    weight = trust * depth.astype(np.float64) ** 2 / (CAMERA.fx * CAMERA.fy * 0.13**2)
+    share = depth.astype(np.float64) ** 2 / (CAMERA.fx * CAMERA.fy * 0.13**2)
     dense = depth < kernels.DENSE_PIXELS * 0.13 * np.sqrt(CAMERA.fx * CAMERA.fy)
-    weight = np.where(dense, np.where((u | v) & 1, 0.0, 4.0 * weight), weight)
+    share = np.where(dense, np.where((u | v) & 1, 0.0, 4.0 * share), share)
+    weight = trust * np.minimum(share, 1.0)
     voting = (labels > 0) & (depth > 0) & (weight > 0)
     assert (cells[~voting] == -1).all()
     assert (np.abs(votes / kernels.UNIT - weight)[cells >= 0] <= 1.0 / kernels.UNIT + 1e-6).all()

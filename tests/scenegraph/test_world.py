@@ -188,13 +188,11 @@ def test_what_stored_edges_say_follows_from_the_rules(stream: tuple[World, list[
 
 def state_of(world: World) -> tuple[object, ...]:
     layers = world.map.layers
-    sums = {
-        "occupancy": layers["occupancy"].evidence_of(layers["occupancy"].block_ijk),
-        "tsdf": layers["tsdf"].store.used("weight"),
-        "semantics": layers["semantics"].store.used("total"),
-        "instances": layers["instances"].store.used("total"),
-    }
-    blocks = [(name, len(layers[name].block_ijk), float(np.sum(values))) for name, values in sums.items()]
+    blocks = [
+        (name, field, values.shape, float(values.sum(dtype=np.float64)))
+        for name, layer in layers.items()
+        for field, values in layer.store.state().items()
+    ]
     ids = {i: known.views for i, known in world.map.instances.instances.items()}
     classes = [c.name for c in world.labels.classes]
     return (
