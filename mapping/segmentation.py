@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
+from mapping.grid import read_only
 from mapping.kernels import segments as kernels
 from mapping.kernels.bleed import find_borders, measure_bleed, take_off
 from mapping.observations import RgbdImage
@@ -50,6 +51,9 @@ PART_SHARE = 0.1
 PART_DEPTH_M = 0.6
 """A thing seen around an obstacle has more than one piece: each counts this share of the main one and lies this near
 it."""
+
+_CORE_LEAST = np.minimum(0.5 * CORE_SHARE * np.arange(2 * kernels.CORE_PX + 1), BLEED_PX).astype(np.uint8)
+"""Core pixels are deeper than this [px], by how deep the mask is around them [half pixels]."""
 
 
 @dataclass(frozen=True)
@@ -105,48 +109,43 @@ def segment(image: RgbdImage, depth_m: Array, things: Array, bleed: Bleed | None
     things  : (65536,) bool: classes that have instances even where the image gives none
     bleed    what earlier images told of the segmenter's bleed, updated; default: this image alone tells
     """
-    labels = np.zeros(depth_m.shape, np.uint16) if image.labels is None else image.labels
-    instances = np.zeros(depth_m.shape, np.uint32) if image.instances is None else image.instances
-    thing = (instances != 0) | things[labels]
-    mask = np.empty(depth_m.shape, np.int32)
-    names = kernels.number_masks(np.where(thing, instances.astype(np.int64) << 16 | labels, 0), mask)
-    mask[~thing] = -labels[~thing].astype(np.int32)
+    shape = depth_m.shape
+    depth = read_only(np.ascontiguousarray(depth_m, np.float32))
+    mask, distance = np.empty(shape, np.int32), np.empty(shape, np.uint8)
+    core, pieces = np.empty(shape, np.int32), np.empty(shape, np.int32)
+    names = kernels.number_masks(
+        mask, _image(image.labels, shape, np.uint16), _image(image.instances, shape, np.uint32), read_only(things)
+    )
     pixel_m = 1.0 / image.intrinsics.fx
     borders = find_borders(mask)
-    bleed_px = (Bleed() if bleed is None else bleed).measure(mask, borders, len(names), depth_m, pixel_m)
-    take_off(mask, borders, depth_m, bleed_px, RIM_SHARE, DEPTH_STEP_M, RIM_SLOPE, pixel_m)
-    distance = np.empty(depth_m.shape, np.uint8)
-    kernels.mask_depths(mask.astype(np.int64), distance)
-    labels = np.where(mask > 0, labels, -mask).astype(np.uint16)
-    mask[mask < 0] = 0
-    peak = np.empty(depth_m.shape, np.uint8)
-    kernels.local_peaks(mask, distance, peak)
-    core_px = np.minimum(np.float32(0.5 * CORE_SHARE) * peak, np.float32(BLEED_PX))
-    core = np.where(distance > core_px, mask, 0).astype(np.int64)
-    pieces = np.empty(depth_m.shape, np.int32)
-    n = kernels.connect(core, depth_m, DEPTH_STEP_M, DEPTH_STEP_SHARE, pieces)
-    of_mask, pixels = np.zeros(n, np.int32), np.zeros(n, np.int64)
-    centrality, mean_depth = np.zeros(n), np.zeros(n)
-    kernels.measure_pieces(mask, distance, depth_m, pieces, of_mask, pixels, centrality, mean_depth)
+    bleed_px = (Bleed() if bleed is None else bleed).measure(mask, borders, len(names), depth, pixel_m)
+    take_off(mask, borders, depth, bleed_px, RIM_SHARE, DEPTH_STEP_M, RIM_SLOPE, pixel_m)
+
+    kernels.mask_depths(mask, distance)
+    kernels.find_cores(mask, distance, _CORE_LEAST, core)
+    n = kernels.connect(core, depth, DEPTH_STEP_M, DEPTH_STEP_SHARE, pieces)
+    of_mask, centrality, mean_depth = np.zeros(n, np.int32), np.zeros(n), np.zeros(n)
+    kernels.measure_pieces(mask, distance, depth, pieces, of_mask, centrality, mean_depth)
     group = _group_pieces(of_mask, centrality, mean_depth, (names >> 16) != 0)
-    pieces = np.concatenate([[0], group]).astype(np.int32)[pieces]
-    kernels.widen(pieces, mask, depth_m, BLEED_PX + 2, DEPTH_STEP_M, RIM_SLOPE, pixel_m)
+    n_groups = int(group.max(initial=0))
+    pixels = np.zeros(n_groups + 1, np.int64)
+    joined = np.append(0, group).astype(np.int32)
+    kernels.widen(pieces, pixels, joined, mask, depth, BLEED_PX + 2, DEPTH_STEP_M, RIM_SLOPE, pixel_m)
 
-    n_pieces = int(group.max(initial=0))
-    piece_pixels = np.bincount(pieces.ravel(), minlength=n_pieces + 1)
-    large = piece_pixels >= LEAST_PIXELS
-    large[0] = False
-    renumber = np.where(large, np.cumsum(large), 0).astype(np.int32)
-    pieces = renumber[pieces]
-    label_of_group = np.zeros(n_pieces + 1, np.uint16)
-    label_of_group[group] = (names[of_mask] & 0xFFFF).astype(np.uint16)
-    piece_label, piece_pixels = label_of_group[large], piece_pixels[large]
+    large = pixels >= LEAST_PIXELS
+    number = np.where(large, np.cumsum(large), 0).astype(np.int32)
+    class_of_mask = (names & 0xFFFF).astype(np.uint16)
+    class_of_group = np.zeros(n_groups + 1, np.uint16)
+    class_of_group[group] = class_of_mask[of_mask]
+    labels, trust = np.empty(shape, np.uint16), np.empty(shape, np.float32)
+    confidence = _image(image.label_confidence, (0, 0), np.float32)
+    kernels.believe(pieces, labels, trust, number, class_of_mask, mask, depth, distance, BLEED_PX, confidence)
+    return Segmentation(labels, trust, pieces, class_of_group[large], pixels[large])
 
-    believed = np.where((depth_m > 0) & ((pieces > 0) | (mask == 0)), labels, 0).astype(np.uint16)
-    trust = np.minimum(distance.astype(np.float32) * np.float32(1.0 / BLEED_PX), np.float32(1.0))
-    if image.label_confidence is not None:
-        trust = trust * image.label_confidence
-    return Segmentation(believed, trust, pieces, piece_label, piece_pixels)
+
+def _image(given: Array | None, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
+    """What an image gives, as kernels take it; zeros of this shape where it gives nothing."""
+    return read_only(np.zeros(shape, dtype) if given is None else np.ascontiguousarray(given, dtype))
 
 
 def _group_pieces(of_mask: Array, centrality: Array, mean_depth: Array, has_instance: Array) -> Array:

@@ -75,3 +75,51 @@ def without_rims(
             rim = square <= bleed[m] ** 2 and goes_on and abs(depth[pixel] - depth[v, u]) < limit
             choices[pixel].add(int(mask[v, u] if rim else m))
     return choices
+
+
+def sweep(shape: tuple[int, ...]) -> Iterator[tuple[tuple[int, int], list[tuple[int, int]]]]:
+    """All pixels row by row, then all of them back, each with the neighbours of eight that the sweep has passed."""
+    height, width = shape
+    pixels = [(v, u) for v in range(height) for u in range(width)]
+    for order in (pixels, pixels[::-1]):
+        passed: set[tuple[int, int]] = set()
+        for v, u in order:
+            around = [(v + dv, u + du) for dv in (-1, 0, 1) for du in (-1, 0, 1)]
+            yield (v, u), [pixel for pixel in around if pixel in passed]
+            passed.add((v, u))
+
+
+def cores(mask: np.ndarray, distance: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """The pixels of masks that lie deeper than the mask's depth around them asks for."""
+    peak = 2 * distance.astype(int)
+    for pixel, passed in sweep(mask.shape):
+        for other in passed:
+            if mask[other] == mask[pixel]:
+                peak[pixel] = max(peak[pixel], peak[other] - 1)
+    return np.where((mask > 0) & (distance > least[peak]), mask, 0)
+
+
+def widened(
+    pieces: np.ndarray, mask: np.ndarray, depth: np.ndarray, reach: int, step_m: float, slope: float, pixel_m: float
+) -> list[list[set[int]]]:
+    """The pieces that each pixel may belong to: its own, or those of the nearest cores of its mask, if they fit."""
+    away = {pixel: (0.0, {pixel}) for pixel in map(tuple, np.argwhere(pieces > 0).tolist())}
+    for pixel, passed in sweep(mask.shape):
+        for other in passed:
+            if mask[pixel] > 0 and mask[other] == mask[pixel] and other in away:
+                step = 1.5 if pixel[0] != other[0] and pixel[1] != other[1] else 1.0
+                cost = away[other][0] + step
+                best, sources = away.get(pixel, (np.inf, set()))
+                if cost <= best:
+                    away[pixel] = (cost, away[other][1] | (sources if cost == best else set()))
+    out = [[{int(piece)} for piece in row] for row in pieces]
+    for (v, u), (d, sources) in away.items():
+        if d == 0:
+            continue
+        z = depth[v, u]
+        fits = {
+            int(pieces[s]) if abs(depth[s] - z) < step_m + slope * d * z * pixel_m and z > 0 and d <= reach else 0
+            for s in sources
+        }
+        out[v][u] = fits
+    return out

@@ -1,7 +1,10 @@
 """From a segmented depth image to connected pieces of surface, without the boundary-pixel error.
 
 A mask that bleeds over its object's edge lies, beyond the edge, on another surface: the depth jumps there. Pieces are
-the 4-connected components of one mask over which the depth does not jump.
+the 4-connected components of one mask's core over which the depth does not jump, and what of its rim fits them.
+
+A *mask* image (H, W) int32 numbers the masks of things in an image from 1; pixels of the background have minus their
+label, 0 where they have none.
 """
 
 from __future__ import annotations
@@ -18,34 +21,133 @@ CORE_PX = 16  # distances to the mask's boundary are counted up to here
 
 
 @njit(cache=True)
-def mask_depths(keys: Array, distance: Array) -> None:
+def _row_of(key: int, keys: Array) -> int:
+    """The row of a hash table (size,) in which a key ≠ 0 stands or, where it is 0, may be entered."""
+    row = (key * 0x9E3779B1 >> 7) & (len(keys) - 1)
+    while keys[row] != key and keys[row] != 0:
+        row = (row + 1) & (len(keys) - 1)
+    return row
+
+
+@njit(cache=True)
+def number_masks(mask: Array, labels: Array, instances: Array, things: Array) -> Array:
+    """Number the masks in order of appearance, in place; returns what they are (n + 1,) int64, the first being 0.
+
+    mask   : (H, W) int32, filled;  labels (H, W) uint16; instances (H, W) uint32
+    things : (65536,) bool: labels of which a pixel without an instance is a thing's too
+
+    A mask is instance << 16 | label; an instance 0 is none.
+    """
+    height, width = labels.shape
+    size = 1024
+    keys, numbers, names = np.zeros(size, np.int64), np.zeros(size, np.int32), np.zeros(size, np.int64)
+    n = 1
+    last_label, last_instance, last = np.uint16(0), np.uint32(0), np.int32(0)
+    for v in range(height):
+        if 2 * (n + width) > size:  # there may be as many more
+            while 2 * (n + width) > size:
+                size *= 2
+            keys, numbers = np.zeros(size, np.int64), np.zeros(size, np.int32)
+            for m in range(1, n):
+                row = _row_of(names[m], keys)
+                keys[row], numbers[row] = names[m], m
+            names = np.concatenate((names[:n], np.zeros(size, np.int64)))
+        for u in range(width):
+            label, instance = labels[v, u], instances[v, u]
+            if label != last_label or instance != last_instance:
+                last_label, last_instance, last = label, instance, np.int32(-np.int32(label))
+                if instance != 0 or (label != 0 and things[label]):
+                    key = np.int64(instance) << 16 | np.int64(label)
+                    row = _row_of(key, keys)
+                    if keys[row] == 0:
+                        keys[row], numbers[row], names[n] = key, n, key
+                        n += 1
+                    last = numbers[row]
+            mask[v, u] = last
+    return names[:n].copy()
+
+
+@njit(cache=True)
+def mask_depths(mask: Array, distance: Array) -> None:
     """Distance of every pixel to the nearest pixel of another mask, in place.
 
-    keys     : (H, W) int64, the mask that a pixel belongs to; 0 = none
+    mask     : (H, W) int32, 0 = none
     distance : (H, W) uint8 [px], city-block, capped at CORE_PX; 0 outside masks. The image's edge is no boundary.
+
+    Along rows first, by the ends of each run of equal pixels; then down and up the columns, all of a row at once.
     """
-    height, width = keys.shape
+    height, width = mask.shape
+    far = np.uint8(CORE_PX)
+    for v in range(height):
+        u = 0
+        while u < width:
+            end = u + 1
+            while end < width and mask[v, end] == mask[v, u]:
+                end += 1
+            distance[v, u:end] = far if mask[v, u] != 0 else np.uint8(0)
+            if mask[v, u] != 0:
+                for k in range(min(CORE_PX, end - u)):
+                    if u > 0:
+                        distance[v, u + k] = min(distance[v, u + k], k + 1)
+                    if end < width:
+                        distance[v, end - 1 - k] = min(distance[v, end - 1 - k], k + 1)
+            u = end
+    for v in range(1, height):
+        _carry(mask[v - 1], distance[v - 1], mask[v], distance[v])
+    for v in range(height - 2, -1, -1):
+        _carry(mask[v + 1], distance[v + 1], mask[v], distance[v])
+
+
+@njit(cache=True)
+def _carry(mask_beside: Array, distance_beside: Array, mask: Array, distance: Array) -> None:
+    """Shorten the distances of a row, in place, by those of the row beside it, one step away."""
+    for u in range(len(mask)):
+        beside = distance_beside[u] if mask_beside[u] == mask[u] else np.uint8(0)
+        distance[u] = min(distance[u], np.uint8(beside + np.uint8(1)))
+
+
+@njit(cache=True)
+def find_cores(mask: Array, distance: Array, least: Array, core: Array) -> None:
+    """The inner part of each mask, in place: what lies deeper than the middle of the mask there asks for.
+
+    mask     : (H, W) int32, > 0 on masks; distance (H, W) uint8 [px] from their boundary
+    least    : (2 · CORE_PX + 1,) uint8 [px]: core pixels are deeper than this, by the peak around them
+    core     : (H, W) int32, filled: the mask where a pixel is of its core, else 0
+
+    The peak [half pixels] is how deep the mask is around a pixel: the largest of 2 · distance(q) − steps from q along
+    the mask, in two raster sweeps as for a chamfer distance (Borgefors 1986).
+    """
+    height, width = mask.shape
+    peak = np.empty((height, width), np.uint8)
     for v in range(height):
         for u in range(width):
-            if keys[v, u] == 0:
-                distance[v, u] = 0
+            m = mask[v, u]
+            if m <= 0:
                 continue
-            best = CORE_PX
+            best = 2 * int(distance[v, u])
+            if u > 0 and mask[v, u - 1] == m:
+                best = max(best, int(peak[v, u - 1]) - 1)
             if v > 0:
-                best = min(best, distance[v - 1, u] + 1 if keys[v - 1, u] == keys[v, u] else 1)
-            if u > 0:
-                best = min(best, distance[v, u - 1] + 1 if keys[v, u - 1] == keys[v, u] else 1)
-            distance[v, u] = best
+                for b in range(max(u - 1, 0), min(u + 2, width)):
+                    if mask[v - 1, b] == m:
+                        best = max(best, int(peak[v - 1, b]) - 1)
+            peak[v, u] = best
     for v in range(height - 1, -1, -1):
         for u in range(width - 1, -1, -1):
-            best = int(distance[v, u])
-            if best == 0:
+            m = mask[v, u]
+            core[v, u] = 0
+            if m <= 0:
                 continue
+            best = int(peak[v, u])
+            if u + 1 < width and mask[v, u + 1] == m:
+                best = max(best, int(peak[v, u + 1]) - 1)
             if v + 1 < height:
-                best = min(best, distance[v + 1, u] + 1 if keys[v + 1, u] == keys[v, u] else 1)
-            if u + 1 < width:
-                best = min(best, distance[v, u + 1] + 1 if keys[v, u + 1] == keys[v, u] else 1)
-            distance[v, u] = best
+                for b in range(max(u - 1, 0), min(u + 2, width)):
+                    if mask[v + 1, b] == m:
+                        best = max(best, int(peak[v + 1, b]) - 1)
+            peak[v, u] = best
+            if distance[v, u] > least[best]:
+                core[v, u] = m
 
 
 @njit(cache=True)
@@ -57,29 +159,29 @@ def _root(parent: Array, i: int) -> int:
 
 
 @njit(cache=True)
-def connect(keys: Array, depth: Array, step_m: float, step_share: float, pieces: Array) -> int:
-    """Number the connected pieces of all masks, in place; returns how many there are.
+def connect(core: Array, depth: Array, step_m: float, step_share: float, pieces: Array) -> int:
+    """Number the connected pieces of all cores, in place; returns how many there are.
 
-    keys   : (H, W) int64, 0 = none
+    core   : (H, W) int32, 0 = none
     depth  : (H, W) float32 [m], 0 = not measured
-    pieces : (H, W) int32, out: 1 … n, 0 where there is no mask or no depth
+    pieces : (H, W) int32, filled: 1 … n, 0 where there is no core or no depth
 
     Neighbours belong together when their depths differ by less than step_m + step_share · depth.
     """
-    height, width = keys.shape
+    height, width = core.shape
     parent = np.empty(height * width // 2 + 2, dtype=np.int32)
     n = 0
     for v in range(height):
         for u in range(width):
             pieces[v, u] = 0
-            z = depth[v, u]
-            if keys[v, u] == 0 or not z > 0.0:
+            m, z = core[v, u], depth[v, u]
+            if m == 0 or not z > 0.0:
                 continue
             limit = step_m + step_share * z
             left = up = 0
-            if u > 0 and pieces[v, u - 1] and keys[v, u - 1] == keys[v, u] and abs(depth[v, u - 1] - z) < limit:
+            if u > 0 and pieces[v, u - 1] and core[v, u - 1] == m and abs(depth[v, u - 1] - z) < limit:
                 left = _root(parent, pieces[v, u - 1])
-            if v > 0 and pieces[v - 1, u] and keys[v - 1, u] == keys[v, u] and abs(depth[v - 1, u] - z) < limit:
+            if v > 0 and pieces[v - 1, u] and core[v - 1, u] == m and abs(depth[v - 1, u] - z) < limit:
                 up = _root(parent, pieces[v - 1, u])
             if left and up:
                 low, high = min(left, up), max(left, up)
@@ -94,111 +196,31 @@ def connect(keys: Array, depth: Array, step_m: float, step_share: float, pieces:
     number = np.zeros(n + 1, dtype=np.int32)
     found = 0
     for i in range(1, n + 1):
-        if _root(parent, i) == i:
+        root = _root(parent, i)  # the lowest of its piece, and so numbered before
+        if root == i:
             found += 1
             number[i] = found
+        else:
+            number[i] = number[root]
     for v in range(height):
         for u in range(width):
             if pieces[v, u]:
-                pieces[v, u] = number[_root(parent, pieces[v, u])]
+                pieces[v, u] = number[pieces[v, u]]
     return found
 
 
 @njit(cache=True)
-def number_masks(keys: Array, mask: Array) -> Array:
-    """Number the masks in order of appearance, in place; returns their keys (n,), the first being 0, no mask.
-
-    keys (H, W) int64, 0 = none; mask (H, W) int32
-    """
-    height, width = keys.shape
-    size = 1024
-    table = np.zeros((size, 2), dtype=np.int64)  # key, number
-    names = np.zeros(size, dtype=np.int64)
-    n = 1
-    last_key, last = np.int64(0), np.int32(0)
-    for v in range(height):
-        for u in range(width):
-            key = keys[v, u]
-            if key == last_key:
-                mask[v, u] = last
-                continue
-            row = (key * 0x9E3779B1 >> 7) & (size - 1)
-            while table[row, 0] != key and table[row, 0] != 0:
-                row = (row + 1) & (size - 1)
-            if table[row, 0] == 0 and key != 0:
-                if 2 * n >= size:
-                    size *= 2
-                    table = np.zeros((size, 2), dtype=np.int64)
-                    longer = np.zeros(size, dtype=np.int64)
-                    longer[:n] = names[:n]
-                    names = longer
-                    for m in range(1, n):
-                        row = (names[m] * 0x9E3779B1 >> 7) & (size - 1)
-                        while table[row, 0] != 0:
-                            row = (row + 1) & (size - 1)
-                        table[row, 0], table[row, 1] = names[m], m
-                    row = (key * 0x9E3779B1 >> 7) & (size - 1)
-                    while table[row, 0] != 0:
-                        row = (row + 1) & (size - 1)
-                table[row, 0], table[row, 1] = key, n
-                names[n] = key
-                n += 1
-            last_key, last = key, np.int32(0 if key == 0 else table[row, 1])
-            mask[v, u] = last
-    return names[:n].copy()
-
-
-@njit(cache=True)
-def local_peaks(mask: Array, distance: Array, peak: Array) -> None:
-    """How deep a mask is around each of its pixels, in place: the largest distance from its boundary, fading with
-    half a
-    pixel a pixel.
-
-    mask (H, W) int32, 0 = none; distance (H, W) uint8 [px]; peak (H, W) uint8, out [half pixels]: the largest of
-    2 · distance(q) − steps from q along the mask. Two raster sweeps, as for a chamfer distance.
-    """
-    height, width = mask.shape
-    for v in range(height):
-        for u in range(width):
-            best = 2 * int(distance[v, u])
-            if mask[v, u]:
-                for n in range(4):
-                    a = v if n == 0 else v - 1
-                    b = u - 1 if n < 2 else u + n - 2
-                    if a >= 0 and b >= 0 and b < width and mask[a, b] == mask[v, u]:
-                        best = max(best, int(peak[a, b]) - 1)
-            peak[v, u] = best
-    for v in range(height - 1, -1, -1):
-        for u in range(width - 1, -1, -1):
-            if mask[v, u]:
-                best = int(peak[v, u])
-                for n in range(4):
-                    a = v if n == 0 else v + 1
-                    b = u + 1 if n < 2 else u - n + 2
-                    if a < height and b >= 0 and b < width and mask[a, b] == mask[v, u]:
-                        best = max(best, int(peak[a, b]) - 1)
-                peak[v, u] = best
-
-
-@njit(cache=True)
 def measure_pieces(
-    mask: Array,
-    distance: Array,
-    depth: Array,
-    pieces: Array,
-    of_mask: Array,
-    pixels: Array,
-    centrality: Array,
-    mean_depth: Array,
+    mask: Array, distance: Array, depth: Array, pieces: Array, of_mask: Array, centrality: Array, mean_depth: Array
 ) -> None:
     """Sum up every piece, in place.
 
     of_mask    : (n,) int32, the mask that a piece belongs to
-    pixels     : (n,) int64, its size
-    centrality : (n,) float64, Σ distance²: large where the middle of the mask is
-    mean_depth : (n,) float64 [m]
+    centrality : (n,) float64 of zeros, Σ distance²: large where the middle of the mask is
+    mean_depth : (n,) float64 of zeros [m]
     """
     height, width = mask.shape
+    pixels = np.zeros(len(of_mask), np.int64)
     for v in range(height):
         for u in range(width):
             i = pieces[v, u] - 1
@@ -213,44 +235,106 @@ def measure_pieces(
 
 
 @njit(cache=True)
-def widen(pieces: Array, mask: Array, depth: Array, reach: int, step_m: float, slope: float, pixel_m: float) -> None:
-    """Give the rim of each mask to the nearest core pixel of the same mask, where the depths agree, in place.
+def widen(
+    pieces: Array,
+    pixels: Array,
+    group: Array,
+    mask: Array,
+    depth: Array,
+    reach: int,
+    step_m: float,
+    slope: float,
+    pixel_m: float,
+) -> None:
+    """Make pieces one that belong to one thing, and give them the rims of their masks where depths agree, in place.
 
     pieces  : (H, W) int32, > 0 on cores
+    pixels  : (n_groups + 1,) int64 of zeros: the size of each group, that of 0 left out
+    group   : (n_pieces + 1,) int32: what becomes of each piece, 0 = none
     reach   : how far a rim is wide at most [px]
-    A rim pixel at depth z, d pixels from its core pixel, agrees when the depths differ by less than
-    step_m + slope · d · z · pixel_m, pixel_m being the width of a pixel at 1 m: the surface goes on, however slanted.
+
+    The nearest core pixel along the same mask decides, by a chamfer distance of 1 and 1.5 in two raster sweeps. A rim
+    pixel at depth z, d pixels from it, agrees when depths differ by less than step_m + slope · d · z · pixel_m, pixel_m
+    being the width of a pixel at 1 m: the surface goes on, however slanted.
     """
     height, width = mask.shape
-    source = np.full((height, width), -1, dtype=np.int32)
-    away = np.full((height, width), 1 << 20, dtype=np.int32)
+    source = np.empty((height, width), np.int32)
+    away = np.empty((height, width), np.int32)
+    rim = np.empty(height * width, np.int32)
+    n = 0
     for v in range(height):
         for u in range(width):
-            if pieces[v, u]:
-                source[v, u] = v * width + u
-                away[v, u] = 0
-            for n in range(4):
-                a, b = (v, u - 1) if n == 0 else (v - 1, u - 1) if n == 1 else (v - 1, u) if n == 2 else (v - 1, u + 1)
-                if a < 0 or b < 0 or b >= width or mask[a, b] != mask[v, u] or source[a, b] < 0:
-                    continue
-                cost = away[a, b] + (3 if n % 2 else 2)
-                if cost < away[v, u]:
-                    away[v, u], source[v, u] = cost, source[a, b]
-    for v in range(height - 1, -1, -1):
-        for u in range(width - 1, -1, -1):
-            for n in range(4):
-                a, b = (v, u + 1) if n == 0 else (v + 1, u + 1) if n == 1 else (v + 1, u) if n == 2 else (v + 1, u - 1)
-                if a >= height or b < 0 or b >= width or mask[a, b] != mask[v, u] or source[a, b] < 0:
-                    continue
-                cost = away[a, b] + (3 if n % 2 else 2)
-                if cost < away[v, u]:
-                    away[v, u], source[v, u] = cost, source[a, b]
-    for v in range(height):
-        for u in range(width):
-            d = 0.5 * away[v, u]
-            z = depth[v, u]
-            if d == 0.0 or d > reach or not z > 0.0 or mask[v, u] == 0:
+            if mask[v, u] <= 0:
                 continue
-            a, b = source[v, u] // width, source[v, u] % width
-            if abs(depth[a, b] - z) < step_m + slope * d * z * pixel_m:
-                pieces[v, u] = pieces[a, b]
+            piece = group[pieces[v, u]]
+            pieces[v, u] = piece
+            if piece:
+                pixels[piece] += 1
+                source[v, u], away[v, u] = v * width + u, 0
+            else:
+                source[v, u], away[v, u] = -1, 1 << 20
+                rim[n] = v * width + u
+                n += 1
+    for sweep in range(2):
+        back = 1 - 2 * sweep  # towards what the sweep has been at before
+        for k in range(n):
+            at = rim[k] if sweep == 0 else rim[n - 1 - k]
+            v, u = at // width, at % width
+            m, best, nearest = mask[v, u], away[v, u], source[v, u]
+            for way in range(4):
+                a, b = (v, u - back) if way == 0 else (v - back, u + (way - 2) * back)
+                if a < 0 or a >= height or b < 0 or b >= width or mask[a, b] != m or source[a, b] < 0:
+                    continue
+                cost = away[a, b] + (2 if way % 2 == 0 else 3)
+                if cost < best:
+                    best, nearest = cost, source[a, b]
+            away[v, u], source[v, u] = best, nearest
+    for k in range(n):
+        v, u = rim[k] // width, rim[k] % width
+        d, z = 0.5 * away[v, u], depth[v, u]
+        if d > reach or not z > 0.0:
+            continue
+        a, b = source[v, u] // width, source[v, u] % width
+        if abs(depth[a, b] - z) < step_m + slope * d * z * pixel_m:
+            pieces[v, u] = pieces[a, b]
+            pixels[pieces[v, u]] += 1
+
+
+@njit(cache=True)
+def believe(
+    pieces: Array,
+    labels: Array,
+    trust: Array,
+    number: Array,
+    class_of: Array,
+    mask: Array,
+    depth: Array,
+    distance: Array,
+    bleed_px: float,
+    confidence: Array,
+) -> None:
+    """Say what each pixel is and how far it is to be trusted, in place.
+
+    pieces     : (H, W) int32, renumbered by `number` (n_groups + 1,) int32
+    labels     : (H, W) uint16, filled: where there is depth, of the background and of the masks of pieces, by
+                 `class_of` (n_masks + 1,) uint16; 0 elsewhere
+    trust      : (H, W) float32, filled: full where `distance` (H, W) uint8 [px] is bleed_px, less at boundaries, times
+                 `confidence` (H, W) float32, size 0 to do without
+    """
+    height, width = mask.shape
+    per_px = np.float32(1.0 / bleed_px)
+    for v in range(height):
+        for u in range(width):
+            m = mask[v, u]
+            label = np.uint16(0)
+            if m > 0:
+                piece = number[pieces[v, u]]
+                pieces[v, u] = piece
+                if piece > 0:
+                    label = class_of[m]
+            else:
+                label = np.uint16(-m)
+            labels[v, u] = label if depth[v, u] > 0.0 else np.uint16(0)
+            trust[v, u] = min(np.float32(distance[v, u]) * per_px, np.float32(1.0))
+    if confidence.size:
+        trust *= confidence

@@ -10,9 +10,11 @@ from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
 from mapping.geometry import CameraIntrinsics
+from mapping.grid import read_only
 from mapping.kernels import segments as kernels
 from mapping.observations import RgbdImage
 from mapping.segmentation import BLEED_PX, LEAST_PIXELS, Segmentation, segment
+from tests import naive_segments as segments
 from tests import naive_semantics as naive
 
 CAMERA = CameraIntrinsics(fx=262.5, fy=262.5, cx=159.5, cy=119.5, width=320, height=240)
@@ -21,45 +23,123 @@ THINGS = np.zeros(1 << 16, bool)
 THINGS[[2, 3]] = True
 WALL, CUP = 1, 2
 
-key_images = hnp.arrays(np.int64, (7, 8), elements=st.sampled_from([0, 1, 1, 2]))
+mask_images = hnp.arrays(np.int32, (7, 8), elements=st.sampled_from([0, -1, 1, 1, 2]))
 depth_images = hnp.arrays(np.float32, (7, 8), elements=st.sampled_from([0.0, 1.0, 1.01, 1.03, 1.06, 2.0]))
 
 
 @settings(max_examples=100, deadline=None)
-@given(keys=key_images)
-def test_the_depth_of_a_mask_is_that_of_the_naive_reference(keys: np.ndarray) -> None:
-    distance = np.empty(keys.shape, np.uint8)
-    kernels.mask_depths(keys, distance)
-    assert (distance == naive.mask_depths(keys, kernels.CORE_PX)).all()
+@given(mask=mask_images)
+def test_the_depth_of_a_mask_is_that_of_the_naive_reference(mask: np.ndarray) -> None:
+    distance = np.empty(mask.shape, np.uint8)
+    kernels.mask_depths(mask, distance)
+    assert (distance == naive.mask_depths(mask, kernels.CORE_PX)).all()
+
+
+@settings(max_examples=5, deadline=None)
+@given(seed=st.integers(0, 1000))
+def test_the_depth_of_a_large_mask_is_counted_up_to_a_limit(seed: int) -> None:
+    mask = np.ones((40, 50), np.int32)
+    v, u = np.random.default_rng(seed).integers(0, 40, 2)
+    mask[v, u] = -3
+    distance = np.empty(mask.shape, np.uint8)
+    kernels.mask_depths(mask, distance)
+    assert (distance == naive.mask_depths(mask, kernels.CORE_PX)).all()
+
+
+@settings(max_examples=100, deadline=None)
+@given(mask=mask_images, share=st.sampled_from([0.3, 0.5, 0.9]))
+def test_cores_are_those_of_the_naive_reference(mask: np.ndarray, share: float) -> None:
+    distance, core = np.empty(mask.shape, np.uint8), np.empty(mask.shape, np.int32)
+    kernels.mask_depths(mask, distance)
+    least = (share * np.arange(2 * kernels.CORE_PX + 1)).astype(np.uint8)
+    kernels.find_cores(mask, distance, least, core)
+    assert (core == segments.cores(mask, distance, least)).all()
 
 
 @settings(max_examples=150, deadline=None)
-@given(keys=key_images, depth=depth_images)
-def test_pieces_are_those_of_the_naive_reference(keys: np.ndarray, depth: np.ndarray) -> None:
-    found = np.empty(keys.shape, np.int32)
-    n = kernels.connect(keys, depth, 0.02, 0.015, found)
+@given(mask=mask_images, depth=depth_images)
+def test_pieces_are_those_of_the_naive_reference(mask: np.ndarray, depth: np.ndarray) -> None:
+    core, found = np.maximum(mask, 0), np.empty(mask.shape, np.int32)
+    n = kernels.connect(core, read_only(depth), 0.02, 0.015, found)
     numbers = set(np.unique(found).tolist()) - {0}
     assert numbers == set(range(1, n + 1))
     as_sets = {frozenset((int(v), int(u)) for v, u in np.argwhere(found == k)) for k in numbers}
-    assert as_sets == naive.pieces(keys, depth, 0.02, 0.015)
+    assert as_sets == naive.pieces(core, depth, 0.02, 0.015)
 
 
-@given(keys=key_images, spread=st.integers(1, 10**9))
-def test_masks_are_numbered_in_order_of_appearance(keys: np.ndarray, spread: int) -> None:
-    keys = keys * spread
-    mask = np.empty(keys.shape, np.int32)
-    names = kernels.number_masks(keys, mask)
-    order = list(dict.fromkeys([0, *keys.ravel().tolist()]))
-    assert names.tolist() == order
-    assert (names[mask] == keys).all()
+@settings(max_examples=50, deadline=None)
+@given(mask=mask_images, depth=depth_images)
+def test_pieces_are_measured_as_by_the_naive_reference(mask: np.ndarray, depth: np.ndarray) -> None:
+    distance, pieces = np.empty(mask.shape, np.uint8), np.empty(mask.shape, np.int32)
+    kernels.mask_depths(mask, distance)
+    n = kernels.connect(np.maximum(mask, 0), read_only(depth), 0.02, 0.015, pieces)
+    of_mask, centrality, mean_depth = np.zeros(n, np.int32), np.zeros(n), np.zeros(n)
+    kernels.measure_pieces(mask, distance, read_only(depth), pieces, of_mask, centrality, mean_depth)
+    for k in range(n):
+        mine = pieces == k + 1
+        assert set(mask[mine].tolist()) == {of_mask[k]}
+        assert centrality[k] == (distance[mine].astype(float) ** 2).sum()
+        assert np.isclose(mean_depth[k], depth[mine].mean())
+
+
+@settings(max_examples=100, deadline=None)
+@given(mask=mask_images, depth=depth_images, data=st.data())
+def test_rims_go_to_the_piece_of_the_naive_reference(mask: np.ndarray, depth: np.ndarray, data: st.DataObject) -> None:
+    core = np.where(data.draw(hnp.arrays(bool, mask.shape)) & (depth > 0), np.maximum(mask, 0), 0).astype(np.int32)
+    pieces = np.empty(mask.shape, np.int32)
+    n = kernels.connect(core, read_only(depth), 0.02, 0.015, pieces)
+    group = np.array([0, *data.draw(st.lists(st.integers(0, 3), min_size=n, max_size=n))], np.int32)
+    allowed = segments.widened(group[pieces], mask, depth, 3, 0.02, 3.0, 0.01)
+    pixels = np.zeros(4, np.int64)
+    kernels.widen(pieces, pixels, group, mask, read_only(depth), 3, 0.02, 3.0, 0.01)
+    for (v, u), piece in np.ndenumerate(pieces):
+        assert piece in allowed[v][u]
+    assert (pixels[1:] == np.bincount(pieces.ravel(), minlength=4)[1:]).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    labels=hnp.arrays(np.uint16, (7, 8), elements=st.sampled_from([0, 1, 2, 65535])),
+    instances=hnp.arrays(np.uint32, (7, 8), elements=st.sampled_from([0, 1, 2**32 - 1])),
+)
+def test_masks_are_numbered_in_order_of_appearance(labels: np.ndarray, instances: np.ndarray) -> None:
+    mask = np.empty(labels.shape, np.int32)
+    names = kernels.number_masks(mask, read_only(labels), read_only(instances), read_only(THINGS))
+    thing = (instances > 0) | THINGS[labels]
+    keys = np.where(thing, instances.astype(np.int64) << 16 | labels, 0)
+    assert names.tolist() == list(dict.fromkeys([0, *keys.ravel().tolist()]))
+    assert (names[np.maximum(mask, 0)] == keys).all()
+    assert (mask[~thing] == -labels[~thing].astype(int)).all()
 
 
 def test_thousands_of_masks_are_told_apart() -> None:
-    keys = np.random.default_rng(0).permutation(6000).reshape(60, 100).astype(np.int64) << 16
-    mask = np.empty(keys.shape, np.int32)
-    names = kernels.number_masks(keys, mask)
+    instances = np.random.default_rng(0).permutation(6000).reshape(60, 100).astype(np.uint32)
+    labels, mask = np.zeros(instances.shape, np.uint16), np.empty(instances.shape, np.int32)
+    names = kernels.number_masks(mask, read_only(labels), read_only(instances), read_only(THINGS))
     assert len(names) == 6000
-    assert (names[mask] == keys).all()
+    assert (names[mask] >> 16 == instances).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(mask=mask_images, depth=depth_images, confident=st.booleans(), seed=st.integers(0, 1000))
+def test_what_is_believed_of_each_pixel_is_as_said(
+    mask: np.ndarray, depth: np.ndarray, confident: bool, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    pieces = (rng.integers(0, 3, mask.shape) * (mask > 0)).astype(np.int32)
+    number, class_of = np.array([0, 0, 1], np.int32), np.array([0, 7, 8], np.uint16)
+    distance = rng.integers(0, 17, mask.shape).astype(np.uint8)
+    confidence = rng.random(mask.shape if confident else (0, 0)).astype(np.float32)
+    labels, trust, renumbered = np.empty(mask.shape, np.uint16), np.empty(mask.shape, np.float32), pieces.copy()
+    kernels.believe(
+        renumbered, labels, trust, number, class_of, mask, read_only(depth), distance, 8, read_only(confidence)
+    )
+    for p in np.ndindex(mask.shape):
+        piece = number[pieces[p]]
+        known = depth[p] > 0 and (mask[p] <= 0 or piece > 0)
+        assert renumbered[p] == piece
+        assert labels[p] == ((class_of[mask[p]] if mask[p] > 0 else -mask[p]) if known else 0)
+        assert np.isclose(trust[p], min(distance[p] / 8, 1.0) * (confidence[p] if confident else 1.0))
 
 
 def image(depth: np.ndarray, labels: np.ndarray, instances: np.ndarray | None = None, **fields: object) -> RgbdImage:
