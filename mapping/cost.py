@@ -1,20 +1,24 @@
 """What it costs to be somewhere, given what is there: a user's table of classes becomes a cost in space and on a grid.
 
 The idea is ViPlanner's (Roth et al. 2024): each class has a cost of driving over or into it, and a planner weighs it
-with the geometry. Unknown is NaN and never free.
+with the geometry. Unknown is NaN, or has a cost of its own; it is never free.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeAlias, get_args
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, Protocol, Self, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapping.errors import InvalidParameter
 from mapping.grid import BLOCK_EDGE, BlockStore, as_points
+from mapping.labelled import labels_within
 from mapping.layer import Changed, require
 from mapping.observations import LabelSpace
 from mapping.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyMap
@@ -27,6 +31,8 @@ Rule: TypeAlias = Literal["max", "mean"]
 
 CHUNK = 256
 """Tiles that are looked at together."""
+_DARKEST = 252
+"""So much darker than white is the dearest finite cost: map_server makes 99 of it, and 100 of black."""
 
 
 class LabelLayer(Protocol):
@@ -43,10 +49,12 @@ class LabelLayer(Protocol):
 class CostTable:
     """The cost of each class.
 
-    costs     class id 1 … 65535, or name in `classes` → cost ≥ 0; ∞: never go there
-    default   the cost of classes that are not in the table and of surfaces without a label
-    free      the cost of free space
-    classes   what the names mean; a name that several classes have counts for all of them
+    costs         class id 1 … 65535, or name in `classes` → cost ≥ 0; ∞: never go there
+    default       the cost of classes that are not in the table and of surfaces without a label
+    free          the cost of free space
+    unknown       the cost of what was never observed; NaN: not told
+    classes       what the names mean; a name that several classes have counts for all of them
+    allow_absent  whether names may be in the table that `classes` does not know; they are told in `absent`
 
     Raises `InvalidParameter`.
     """
@@ -57,31 +65,96 @@ class CostTable:
         *,
         default: float,
         free: float = 0.0,
+        unknown: float = np.nan,
         classes: LabelSpace | None = None,
+        allow_absent: bool = False,
     ) -> None:
         self.default, self.free = _cost("default", default), _cost("free", free)
+        not_told = isinstance(unknown, float) and np.isnan(unknown)
+        self.unknown = float("nan") if not_told else _cost("unknown", unknown)
         self._of = np.full(1 << 16, self.default)
         self.costs: dict[int, float] = {}
+        self.absent: tuple[str, ...] = ()
         for key, value in costs.items():
-            for label in _ids(key, classes):
+            cost, ids = _cost(f"costs[{key!r}]", value), _ids(key, classes, allow_absent)
+            if isinstance(key, str) and not ids:
+                self.absent += (key,)
+            for label in ids:
                 if label in self.costs:
                     raise InvalidParameter(f"costs: expected each class once, got {key!r} again (class {label})")
-                self.costs[label] = self._of[label] = _cost(f"costs[{key!r}]", value)
+                self.costs[label] = self._of[label] = cost
+
+    @classmethod
+    def from_document(cls, document: Any, classes: LabelSpace, *, allow_absent: bool = False) -> Self:
+        """The table that JSON values tell of.
+
+        `{"costs": {"floor": 0, "grass": 0.5, "person": "never"}, "default": 0.8, "free": 0, "unknown": 2}`: class
+        names and costs ≥ 0 or "never" (∞); `free` and `unknown` may be left out. Raises `InvalidParameter` that names
+        the field.
+        """
+        if not isinstance(document, Mapping):
+            raise InvalidParameter(f"cost table: expected an object with costs and default, got {document!r:.80}")
+        for name in document:
+            if name not in _FIELDS:
+                raise InvalidParameter(f"cost table: expected the fields {', '.join(_FIELDS)}, got {name!r}")
+        for name in ("costs", "default"):
+            if name not in document:
+                raise InvalidParameter(f"cost table: the field {name!r} is missing")
+        costs = document["costs"]
+        if not isinstance(costs, Mapping):
+            raise InvalidParameter(f"costs: expected an object of class names and costs, got {costs!r:.80}")
+        others = {name: _told(document[name]) for name in ("default", "free", "unknown") if name in document}
+        return cls(
+            {name: _told(cost) for name, cost in costs.items()}, classes=classes, allow_absent=allow_absent, **others
+        )
+
+    @classmethod
+    def read(cls, path: str | Path, classes: LabelSpace, *, allow_absent: bool = False) -> Self:
+        """The table in a JSON file, see `from_document`. Raises `InvalidParameter`."""
+        try:
+            document = json.loads(Path(path).read_text(encoding="utf-8"), object_pairs_hook=_each_once)
+        except OSError as error:
+            raise InvalidParameter(f"{path}: cannot be read: {error.strerror}") from None
+        except ValueError as error:
+            raise InvalidParameter(f"{path}: not a JSON file: {error}") from None
+        try:
+            return cls.from_document(document, classes, allow_absent=allow_absent)
+        except InvalidParameter as error:
+            raise InvalidParameter(f"{path}: {error}") from None
 
     def of(self, labels: ArrayLike) -> NDArray[np.float64]:
         """The cost (N,) of class ids (N,); 0 is no label."""
         return np.asarray(self._of[np.asarray(labels)])
 
 
+_FIELDS = ("costs", "default", "free", "unknown")
+
+
+def _told(cost: Any) -> Any:
+    return np.inf if cost == "never" else cost
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of a JSON file in which no name stands twice."""
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise InvalidParameter(f"expected each name once, got {name!r} again")
+        found[name] = value
+    return found
+
+
 def semantic_cost(
     p_map: ArrayLike, labels: LabelLayer, table: CostTable, occupancy: OccupancyMap | None = None
 ) -> NDArray[np.float64]:
-    """The cost (N,) of the voxel at each point (N, 3) [m]; NaN where unknown.
+    """The cost (N,) of the voxel at each point (N, 3) [m]; `table.unknown`, by default NaN, where unknown.
 
-    Free space, of which only `occupancy` knows, costs `table.free`, whatever was once seen there. What is occupied or
-    has a label costs what its class does; an occupied voxel without a label costs `table.default`.
+    Voxels are those of `occupancy`, without it those of `labels`. Free space, of which only `occupancy` knows, costs
+    `table.free`, whatever was once seen there. What is occupied or has a label costs what its class does, what has
+    several, of finer voxels, as the dearest of them; an occupied voxel without a label costs `table.default`.
     """
-    return _look(p_map, labels, table, occupancy)[0]
+    cost = _look(p_map, labels, table, occupancy)[0]
+    return np.where(np.isnan(cost), table.unknown, cost)
 
 
 def _look(
@@ -92,10 +165,14 @@ def _look(
     classes = np.full(len(points), UNKNOWN, np.int8) if occupancy is None else occupancy.classify(points)
     cost = np.where(classes == FREE, table.free, np.nan)
     solid = classes == OCCUPIED
+    cost[solid] = table.default
+    size = labels.voxel_size_m if occupancy is None else occupancy.voxel_size_m
     not_free = np.flatnonzero(classes != FREE)
-    names, _ = labels.query(points[not_free])
-    solid[not_free[names != 0]] = True
-    cost[not_free] = np.where(solid[not_free], table.of(names), np.nan)
+    names = labels_within((np.floor(points[not_free] / size) + 0.5) * size, size, labels)
+    labelled = (names != 0).any(axis=1)
+    names, at = names[labelled], not_free[labelled]
+    cost[at] = np.where(names != 0, table.of(names), 0.0).max(axis=1, initial=0.0)
+    solid[at] = True
     return cost, solid
 
 
@@ -115,6 +192,42 @@ class CostGrid:
         i, j = cells[inside].astype(np.int64).T
         found[inside] = self.cost[i, j]
         return found
+
+    def write(self, path: str | Path) -> Path:
+        """Write the grid and return the path of the file to open.
+
+        `.npz`: the arrays `cost`, `corner_m` and `cell_size_m`. Else two files of this name, a `.png` and a `.yaml`, as
+        `map_server` of ROS 1 and 2 reads them in its mode *scale*: white costs nothing, the darker the dearer, up to 99
+        of 100; black is ∞, 100; transparent is unknown. The dearest finite cost stands in the YAML file.
+        """
+        path = Path(path)
+        if path.suffix == ".npz":
+            np.savez_compressed(path, cost=self.cost, corner_m=self.corner_m, cell_size_m=self.cell_size_m)
+            return path
+        from PIL import Image
+
+        finite = np.isfinite(self.cost)
+        dearest = float(self.cost[finite].max(initial=0.0)) or 1.0
+        grey = np.zeros(self.cost.shape, np.uint8)
+        grey[finite] = 255 - np.rint(self.cost[finite] / dearest * _DARKEST).astype(np.uint8)
+        alpha = np.where(np.isnan(self.cost), 0, 255).astype(np.uint8)
+        pixels = np.ascontiguousarray(np.stack([grey, alpha], axis=-1).transpose(1, 0, 2)[::-1])
+        x, y = self.corner_m.tolist()
+        Image.fromarray(pixels if pixels.size else np.zeros((1, 1, 2), np.uint8), "LA").save(path.with_suffix(".png"))
+        lines = (
+            f"# a pixel v costs (255 - v) / {_DARKEST} * {dearest:g}; 0 is never to be entered, transparent unknown",
+            f"image: {path.with_suffix('.png').name}",
+            "mode: scale",
+            f"resolution: {self.cell_size_m:g}",
+            f"origin: [{x:.6g}, {y:.6g}, 0.0]",
+            "negate: 0",
+            "occupied_thresh: 0.995",
+            "free_thresh: 0.0",
+            f"dearest_cost: {dearest:g}",
+        )
+        path = path.with_suffix(".yaml")
+        path.write_text("\n".join((*lines, "")), encoding="utf-8")
+        return path
 
     def inflated(self, radius_m: float) -> CostGrid:
         """The same with costs that reach out: each cell costs the most that any cell at a distance d ≤ radius costs,
@@ -187,16 +300,17 @@ class CostMap:
         return Changed(changed, self._store.block_size_m)
 
     def query(self, p_map: ArrayLike) -> NDArray[np.float64]:
-        """The cost (N,) of the column at each point (N, 2) or (N, 3) [m], as of the last update; NaN where unknown."""
+        """The cost (N,) of the column at each point (N, 2) or (N, 3) [m], as of the last update; `table.unknown` where
+        unknown."""
         cells = np.floor(as_columns(p_map) / self.cell_size_m).astype(np.int64)
         slots = self._store.find(np.c_[cells >> 3, np.zeros(len(cells), np.int64)])
         found = np.full(len(cells), np.nan)
         known = slots >= 0
         found[known] = self._store.fields["cost"][slots[known], (cells[known] & 7) @ (BLOCK_EDGE, 1)]
-        return found
+        return np.where(np.isnan(found), self.table.unknown, found)
 
     def grid(self) -> CostGrid:
-        """All columns as of the last update, dense."""
+        """All columns as of the last update, dense; what was never observed costs `table.unknown`."""
         tiles = self._store.block_ijk[:, :2]
         if not len(tiles):
             return CostGrid(np.zeros(2), self.cell_size_m, np.empty((0, 0)))
@@ -206,6 +320,7 @@ class CostMap:
         i, j = (tiles - first).T
         dense[i, j] = self._store.used("cost").reshape(-1, BLOCK_EDGE, BLOCK_EDGE)
         cost = dense.transpose(0, 2, 1, 3).reshape(across * BLOCK_EDGE, along * BLOCK_EDGE)
+        cost = np.where(np.isnan(cost), self.table.unknown, cost)
         return CostGrid(first * self._store.block_size_m, self.cell_size_m, cost)
 
     def _tiles(self, changed: Changed) -> NDArray[np.int64]:
@@ -238,21 +353,23 @@ class CostMap:
         return np.where(n > 0, together, empty)
 
 
-def _cost(name: str, value: float) -> float:
+def _cost(name: str, value: Any) -> float:
     number = float(value) if isinstance(value, int | float | np.number) and not isinstance(value, bool) else np.nan
     if not number >= 0.0:
         raise InvalidParameter(f"{name}: expected a cost ≥ 0, got {value!r}")
     return number
 
 
-def _ids(key: int | str, classes: LabelSpace | None) -> list[int]:
+def _ids(key: int | str, classes: LabelSpace | None, allow_absent: bool) -> list[int]:
     """The classes that a key of the table names."""
     if isinstance(key, str):
         if classes is None:
             raise InvalidParameter(f"costs: expected class ids where no classes are given, got the name {key!r}")
         ids = [label for label, info in classes.classes.items() if info.name == key]
-        if not ids:
-            raise InvalidParameter(f"costs: expected the name of a class, got {key!r}")
+        if not (ids or allow_absent):
+            near = get_close_matches(key, [info.name for info in classes.classes.values()], n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise InvalidParameter(f"costs: expected the name of a class, got {key!r}{hint}")
         return ids
     if isinstance(key, bool) or not isinstance(key, int | np.integer) or not 1 <= key < 1 << 16:
         raise InvalidParameter(f"costs: expected class ids 1 … 65535 or names, got {key!r}")

@@ -352,26 +352,50 @@ def evaluate(
 
 @app.command()
 def export(
-    form: Annotated[str, typer.Option("--format", help="json, spark_dsg, node_link, graphml, csv, png, bt, ply.")],
+    form: Annotated[
+        str,
+        typer.Option("--format", help="json, spark_dsg, node_link, graphml, csv, png, cost, ply, mesh, ot, bt, npz."),
+    ],
     output: Annotated[Path, typer.Option(help="The file to write.")],
+    layer: Annotated[
+        str | None, typer.Option(help="Of which map layer ply, mesh, ot, bt and npz are: semantics, tsdf, occupancy, …")
+    ] = None,
+    box: Annotated[
+        str | None, typer.Option(metavar="X0,Y0,Z0,X1,Y1,Z1", help="Only the part of the layer about this box, metres.")
+    ] = None,
+    costs: Annotated[Path | None, typer.Option(help="cost: a JSON file, class name → cost.")] = None,
+    band: Annotated[
+        tuple[float, float], typer.Option(metavar="LOW HIGH", help="cost: heights that matter, metres.")
+    ] = (-0.1, 1.0),
     map_path: Map = None,
     connect: Connect = None,
     world: WorldName = "home",
     as_json: Json = False,
 ) -> None:
-    """Write the graph or the map as a file of another program."""
+    """Write the graph or the map as a file of another program.
+
+    ply is the mesh, or with --layer semantics a cloud of labelled points; mesh and ot (OctoMap) are in the colours of
+    classes; cost is a grid for navigation, a PNG beside a YAML file as map_server reads them.
+    """
     from scenegraph import exporting
 
     exporting.check_format(form)
     printer = Printer(json=as_json)
+    if (form == "cost") != (costs is not None):
+        raise typer.BadParameter("--costs FILE belongs to --format cost, and --format cost needs it")
+    absent: tuple[str, ...] = ()
     with _opened(map_path, connect, world) as target:
-        graph = target.graph if map_path else target.graph()
-        layer = target.map.layers.__getitem__ if map_path else exporting.layers_of_server(target)
-        path = exporting.export(graph, layer, form, output)
+        source = exporting.Saved(target) if map_path else exporting.Served(target)
+        if costs is not None:
+            path, absent = exporting.export_cost(source, costs, output, band_m=band)
+        else:
+            path = exporting.export(source, form, output, layer=layer, box=box)
     if as_json:
-        printer.document({"format": form, "output": str(path), "bytes": path.stat().st_size})
+        printer.document({"format": form, "output": str(path), "bytes": path.stat().st_size, "absent": list(absent)})
     else:
         printer.line(f"wrote {path} ({path.stat().st_size:,} bytes)")
+        if absent:
+            printer.line(f"classes of the table that this map does not know: {', '.join(absent)}", "yellow")
 
 
 @app.command()

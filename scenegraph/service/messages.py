@@ -226,7 +226,8 @@ class MapQuery(Message):
 class MapValues(Message):
     """A value a point; where `known` is false nothing was ever observed and the value means nothing.
 
-    occupancy: probability; tsdf, esdf: signed distance [m]; semantics: class id, with `confidence`;
+    occupancy: probability; tsdf, esdf: signed distance [m]; semantics: class id, with `confidence`, `instance` (0: of
+    none) and `observed`: where `known` is false, whether something was observed there, only without a label;
     instances: number of the instance
     """
 
@@ -235,6 +236,8 @@ class MapValues(Message):
     known: KnownColumn
     confidence: FloatColumn | None = None
     gradient: VectorRows | None = None
+    instance: ValueColumn | None = None
+    observed: KnownColumn | None = None
 
 
 # -- health --------------------------------------------------------------------------------------------------

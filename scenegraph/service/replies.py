@@ -153,8 +153,11 @@ def map_layer(world: Any, name: str) -> Any:
     return layer
 
 
-def map_values(name: str, layer: Any, query: MapQuery) -> MapValues:
-    """A value for each of the points, with what is unknown marked."""
+def map_values(name: str, layer: Any, query: MapQuery, layers: Any = None) -> MapValues:
+    """A value for each of the points, with what is unknown marked.
+
+    layers : has the other layers by their names: of semantics, the instances, and what was observed, are told, too
+    """
     if len(query.points) > MAX_POINTS:
         raise InvalidMessage(f"expected at most {MAX_POINTS} points, got {len(query.points)}", field="MapQuery.points")
     points = np.asarray(query.points, dtype=np.float64)
@@ -164,7 +167,15 @@ def map_values(name: str, layer: Any, query: MapQuery) -> MapValues:
         labels, confidence = layer.query(points)
         labels = np.asarray(labels).astype(np.uint16, copy=False)
         confidence = np.asarray(confidence).astype(np.float32, copy=False)
-        return MapValues(layer=name, values=labels, known=labels > 0, confidence=np.nan_to_num(confidence))
+        instances, occupancy = getattr(layers, "instances", None), getattr(layers, "occupancy", None)
+        return MapValues(
+            layer=name,
+            values=labels,
+            known=labels > 0,
+            confidence=np.nan_to_num(confidence),
+            instance=None if instances is None else np.asarray(instances.query(points)).astype(np.uint32, copy=False),
+            observed=None if occupancy is None else (labels > 0) | ~np.isnan(occupancy.query(points)),
+        )
     if name == "instances":
         ids = np.asarray(layer.query(points)).astype(np.uint32, copy=False)
         return MapValues(layer=name, values=ids, known=ids > 0)

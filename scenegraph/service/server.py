@@ -373,16 +373,16 @@ class Server:
         return replies.tell_reply(result)
 
     def _map_values(self, name: str, request: MapQuery) -> BaseModel:
-        return replies.map_values(name, replies.map_layer(self._world, name), request)
+        return replies.map_values(name, replies.map_layer(self._world, name), request, self._world.map)
 
     def _map_layer(self, name: str, query: zenoh.Query) -> Callable[[], None]:
-        layer = replies.map_layer(self._world, name)
+        replies.map_layer(self._world, name)
         box = exports.read_box(query.parameters.get("box"))
         form = query.parameters.get("format") or exports.LAYER_FORMATS[name][0]
-        state = exports.crop(layer.state(), layer.block_size_m, box)
+        copies = exports.Copies(self._world, name, form, box)
 
         def send() -> None:
-            data, encoding = exports.layer_as(name, type(layer), state, form)
+            data, encoding = exports.layer_as(name, form, copies)
             self._sender.reply_bytes(query, f"map/{name}", data, encoding)
 
         return send
