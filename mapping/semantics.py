@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 
 Array: TypeAlias = NDArray[Any]
 
-LEAST_THING_VOTES = 0.1
-"""A voxel is a thing's when the fine voxels in it have more votes for it (about: full views) than this, and than for
-others."""
 LEAST_CONFIDENCE, MOST_CONFIDENCE = 0.01, 0.99
 """What a segmenter says of itself is believed within these."""
 
@@ -265,7 +262,7 @@ class SemanticMap(PackedLayer):
                 of_thing, votes, others = self.things.class_votes(ijk)
             else:
                 of_thing, votes, others = self.things.classes(ijk * self.voxel_size_m, (ijk + 1) * self.voxel_size_m)
-            sure = votes > np.maximum(others, LEAST_THING_VOTES)
+            sure = votes > others
             at = np.flatnonzero(known)[sure]
             labels[at] = of_thing[sure]
             confidence[at] = votes[sure] / (votes[sure] + others[sure])

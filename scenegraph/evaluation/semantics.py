@@ -1,10 +1,12 @@
 """The semantic floor: which class, and which thing, the map's voxels say they belong to.
 
-Judged are labelled voxels whose centre lies within a voxel of a true surface; their truth is the class and thing of the
-surface nearest to the centre. `semantics.off_surface` is the share of labelled voxels that are further away.
+Judged are labelled voxels whose centre lies within a voxel of a true surface that was seen; their truth is the class
+and thing of the nearest point that exact rays met: the wall behind a mirror is nearer to some voxels of the mirror, but
+nobody saw it. `semantics.off_surface` is the share of labelled voxels that are further away from all that was seen.
 
 - `voxel_accuracy`, `miou`: of these voxels, without those of things that the segmenter *always* mistakes for the same
   other class, which no fusion can mend. Mean IoU is over the classes that are there.
+- `all_surfaces.voxel_accuracy`, `all_surfaces.miou`: the same against the nearest surface, be it hidden or not.
 - `confused.voxel_accuracy`, `confused.voxel_share`: of the voxels of those things, and their share of all voxels.
 - `single_view.*`: on the same voxels, what one image said of each, drawn among those that labelled it (see `views`);
   `views_per_voxel.median`: how many there are.
@@ -70,12 +72,14 @@ class SemanticTally:
     """Counts of voxels and segments over all homes.
 
     said, single_view   voxels by true and said class: of the map, and of one image each
+    all_surfaces        by the class of the nearest surface, seen or not
     confused            those of things that are always mistaken
     by_views            for each number of views: how many voxels, right in the map, right in one image
     """
 
     said: Confusion = field(default_factory=Confusion)
     single_view: Confusion = field(default_factory=Confusion)
+    all_surfaces: Confusion = field(default_factory=Confusion)
     confused: Confusion = field(default_factory=Confusion)
     by_views: dict[int, tuple[int, int, int]] = field(default_factory=dict)
     panoptic: PanopticTally = field(default_factory=PanopticTally)
@@ -96,6 +100,8 @@ class SemanticTally:
             "single_view.voxel_accuracy": self.single_view.accuracy,
             "miou": self.said.miou,
             "single_view.miou": self.single_view.miou,
+            "all_surfaces.voxel_accuracy": self.all_surfaces.accuracy,
+            "all_surfaces.miou": self.all_surfaces.miou,
             "confused.voxel_accuracy": self.confused.accuracy,
             "confused.voxel_share": self.confused.total() / labelled,
             "pq": everywhere.pq,
@@ -158,14 +164,17 @@ def judge_voxels(
     size = world.map.semantics.voxel_size_m
     ijk, said = _voxels(world, home, views)
     centres = ijk_to_centre(ijk, size)
+    confused = np.zeros(len(home.entities) + 1, bool)
+    confused[1:] = [name in recorder.confused for name in home.entities]
     triangles, surface = home.renderer.scene.closest(centres)
-    near = np.linalg.norm(centres - surface, axis=1) <= size
+    main = (np.linalg.norm(centres - surface, axis=1) <= size) & (said > 0) & ~confused[home.triangle_entity[triangles]]
+    tally.all_surfaces.count(home.triangle_class[triangles[main]].astype(np.int64), said[main])
+
+    triangles, distance = recorder.surface.closest(centres, 2.0 * size)
+    near = distance <= size
     tally.off_surface += int((~near & (said > 0)).sum())
     ijk, centres, said, triangles = ijk[near], centres[near], said[near], triangles[near]
     true, entity = home.triangle_class[triangles].astype(np.int64), home.triangle_entity[triangles]
-
-    confused = np.zeros(len(home.entities) + 1, bool)
-    confused[1:] = [name in recorder.confused for name in home.entities]
     plain, labelled = ~confused[entity], said > 0
     main = plain & labelled
     tally.said.count(true[main], said[main])

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scenegraph.simulation.rendering import CAMERA
+from scenegraph.simulation.seen_surface import SeenSurface
 from scenegraph.simulation.shapes import Array
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ COUNTABLE_IMAGES = 3
 PLANE_AREA_M2 = 0.5
 PLANE_SEEN = 0.3
 _CELL_M = 0.1
+_SURFACE_STRIDE = 2
 _STRIDE = 4  # every so many-th row and column is looked at for planes
 
 
@@ -26,14 +28,17 @@ class TruthRecorder:
     """Counts, from noise-free images at true poses, how often each thing and how much of each plane was seen.
 
     confused   ids of the things that the segmenter always mistakes for the same other class
+    surface    the part of all surfaces that the images showed
     """
 
     def __init__(self, home: Home) -> None:
         self.home = home
         self.images = 0
         self.confused: frozenset[str] = frozenset()
+        self.surface = SeenSurface()
         self._good = np.zeros(len(home.entities) + 1, dtype=np.int64)
         self._rays = CAMERA.rays()[::_STRIDE, ::_STRIDE]
+        self._surface_rays = CAMERA.rays()[::_SURFACE_STRIDE, ::_SURFACE_STRIDE]
         self._cells = [
             np.zeros(tuple(max(1, int(np.ceil(e / _CELL_M))) for e in plane.extent), dtype=bool)
             for plane in home.structure
@@ -56,6 +61,11 @@ class TruthRecorder:
         p_map = rendered.T_map_camera @ (self._rays * depth[..., None])
         for k in np.unique(plane[plane >= 0]):
             self._mark(int(k), p_map[plane == k])
+        triangle = rendered.triangles[::_SURFACE_STRIDE, ::_SURFACE_STRIDE]
+        depth = rendered.depth[::_SURFACE_STRIDE, ::_SURFACE_STRIDE]
+        seen = (triangle >= 0) & (depth > 0.0)
+        p_map = rendered.T_map_camera @ (self._surface_rays[seen] * depth[seen, None])
+        self.surface.add(p_map, triangle[seen])
 
     def _mark(self, k: int, p_map: Array) -> None:
         plane, cells = self.home.structure[k], self._cells[k]

@@ -285,8 +285,8 @@ def seen():
         if isinstance(observation, RgbdImage):
             log.add(observation, observation.T_map_camera)
     ijk = log.voxels()
-    triangles, surface = h.renderer.scene.closest(ijk_to_centre(ijk, SIZE))
-    assert (np.linalg.norm(ijk_to_centre(ijk, SIZE) - surface, axis=1) <= SIZE).all()
+    triangles, distance = recorder.surface.closest(ijk_to_centre(ijk, SIZE), 2.0 * SIZE)
+    assert (distance <= SIZE).all()
     return SimpleNamespace(
         home=h,
         recorder=recorder,
