@@ -11,17 +11,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, Protocol, Self, TypeAlias, get_args
+from typing import Any, Literal, Self, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapping.errors import InvalidParameter
 from mapping.grid import BLOCK_EDGE, BlockStore, as_points
-from mapping.labelled import labels_within
+from mapping.labelled import labels_near, labels_within
 from mapping.layer import Changed, require
 from mapping.observations import LabelSpace
 from mapping.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyMap
+from mapping.semantics import SemanticMap
 from mapping.tiles import as_columns
 
 __all__ = ["CostGrid", "CostMap", "CostTable", "semantic_cost"]
@@ -31,19 +32,11 @@ Rule: TypeAlias = Literal["max", "mean"]
 
 CHUNK = 256
 """Tiles that are looked at together."""
+REACH_VOXELS = 1.5
+"""Surfaces are thicker than what has labels, for depth is noisy: an occupied voxel without a label is taken for what
+the nearest label says that is not farther than so many voxels from its centre."""
 _DARKEST = 252
 """So much darker than white is the dearest finite cost: map_server makes 99 of it, and 100 of black."""
-
-
-class LabelLayer(Protocol):
-    """What knows the class at a point and says where it changed, such as `SemanticMap`."""
-
-    revision: int
-
-    @property
-    def voxel_size_m(self) -> float: ...
-    def query(self, p_map: ArrayLike) -> tuple[Array, Array]: ...
-    def changed_since(self, revision: int) -> Changed: ...
 
 
 class CostTable:
@@ -145,33 +138,43 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def semantic_cost(
-    p_map: ArrayLike, labels: LabelLayer, table: CostTable, occupancy: OccupancyMap | None = None
+    p_map: ArrayLike,
+    labels: SemanticMap,
+    table: CostTable,
+    occupancy: OccupancyMap | None = None,
+    *,
+    reach_m: float | None = None,
 ) -> NDArray[np.float64]:
     """The cost (N,) of the voxel at each point (N, 3) [m]; `table.unknown`, by default NaN, where unknown.
 
     Voxels are those of `occupancy`, without it those of `labels`. Free space, of which only `occupancy` knows, costs
     `table.free`, whatever was once seen there. What is occupied or has a label costs what its class does, what has
-    several, of finer voxels, as the dearest of them; an occupied voxel without a label costs `table.default`.
+    several, of finer voxels, as the dearest of them. An occupied voxel without a label costs what the nearest label
+    does that is not farther from its centre than `reach_m` (default REACH_VOXELS; 0: none), else `table.default`.
     """
-    cost = _look(p_map, labels, table, occupancy)[0]
+    reach = 0.0 if occupancy is None else _reach(reach_m, occupancy.voxel_size_m)
+    cost = _look(p_map, labels, table, occupancy, reach)[0]
     return np.where(np.isnan(cost), table.unknown, cost)
 
 
 def _look(
-    p_map: ArrayLike, labels: LabelLayer, table: CostTable, occupancy: OccupancyMap | None
+    p_map: ArrayLike, labels: SemanticMap, table: CostTable, occupancy: OccupancyMap | None, reach_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """The cost (N,) at points, NaN where unknown, and whether there is a surface (N,)."""
     points = as_points(p_map)
     classes = np.full(len(points), UNKNOWN, np.int8) if occupancy is None else occupancy.classify(points)
     cost = np.where(classes == FREE, table.free, np.nan)
     solid = classes == OCCUPIED
-    cost[solid] = table.default
     size = labels.voxel_size_m if occupancy is None else occupancy.voxel_size_m
     not_free = np.flatnonzero(classes != FREE)
-    names = labels_within((np.floor(points[not_free] / size) + 0.5) * size, size, labels)
+    centres = (np.floor(points[not_free] / size) + 0.5) * size
+    names = labels_within(centres, size, labels)
     labelled = (names != 0).any(axis=1)
     names, at = names[labelled], not_free[labelled]
     cost[at] = np.where(names != 0, table.of(names), 0.0).max(axis=1, initial=0.0)
+    bare = solid[not_free] & ~labelled
+    nearest = labels_near(centres[bare], labels, reach_m)[0] if reach_m > 0.0 else 0
+    cost[not_free[bare]] = table.of(nearest)
     solid[at] = True
     return cost, solid
 
@@ -251,12 +254,13 @@ class CostGrid:
 class CostMap:
     """Costs on a grid of columns, kept up to date with the layers that they come from.
 
-    labels       what knows classes, such as a `SemanticMap`
+    labels       what knows classes
     table        what they cost
     band_m       heights (low, high) [m] that matter: voxels whose centres lie between count
     rule         what surfaces of one column cost together: the most, or the mean
     occupancy    what knows free space; without it only labelled columns are known
     known_share  share of a column's voxels that must be known for it to be free when no surface is in it
+    reach_m      occupied voxels without a label are taken for what a label so near says, see `semantic_cost`
 
     Columns are as wide as the voxels of `occupancy`, without it as those of `labels`. `update` computes anew what has
     changed since it was last called. Raises `InvalidParameter`.
@@ -264,19 +268,21 @@ class CostMap:
 
     def __init__(
         self,
-        labels: LabelLayer,
+        labels: SemanticMap,
         table: CostTable,
         *,
         band_m: tuple[float, float],
         rule: Rule = "max",
         occupancy: OccupancyMap | None = None,
         known_share: float = 0.5,
+        reach_m: float | None = None,
     ) -> None:
         if rule not in get_args(Rule):
             raise InvalidParameter(f'rule: expected "max" or "mean", got {rule!r}')
         self.known_share = require("known_share", known_share, 0.0, 1.0)
         self.labels, self.table, self.occupancy, self.rule = labels, table, occupancy, rule
         self.cell_size_m = labels.voxel_size_m if occupancy is None else occupancy.voxel_size_m
+        self._reach_m = 0.0 if occupancy is None else _reach(reach_m, self.cell_size_m)
         low, high = (float(z) for z in band_m)
         first, last = np.ceil(low / self.cell_size_m - 0.5), np.floor(high / self.cell_size_m - 0.5)
         if not (np.isfinite(low) and np.isfinite(high) and first <= last):
@@ -284,15 +290,13 @@ class CostMap:
         self._band = low, high
         self._heights: Array = (np.arange(first, last + 1) + 0.5) * self.cell_size_m
         self._store = BlockStore({"cost": "f8"}, self.cell_size_m, fill={"cost": np.nan}, axes=2)
-        self._seen = [0, 0]
+        self._seen: dict[str, int] = {}
 
     def update(self) -> Changed:
         """Look again at what changed; the tiles (K, 3) of 8² columns that were computed anew, with index (i, j, 0)."""
-        layers: list[LabelLayer | OccupancyMap] = [self.labels]
-        if self.occupancy is not None:
-            layers.append(self.occupancy)
-        tiles = [self._tiles(layer.changed_since(seen)) for layer, seen in zip(layers, self._seen, strict=False)]
-        self._seen = [layer.revision for layer in layers]
+        layers = [layer for layer in (self.occupancy, self.labels, self.labels.things) if layer is not None]
+        tiles = [self._tiles(layer.changed_since(self._seen.get(layer.kind, 0))) for layer in layers]
+        self._seen = {layer.kind: layer.revision for layer in layers}
         changed = np.unique(np.concatenate(tiles), axis=0).astype(np.int32)
         for chunk in np.array_split(changed, max(1, len(changed) // CHUNK)):
             slots = self._store.allocate(chunk)
@@ -324,12 +328,12 @@ class CostMap:
         return CostGrid(first * self._store.block_size_m, self.cell_size_m, cost)
 
     def _tiles(self, changed: Changed) -> NDArray[np.int64]:
-        """The tiles (K, 3) above and below which blocks within the band changed."""
-        edge, tile = changed.block_size_m, self._store.block_size_m
+        """The tiles (K, 3) above and below which blocks within the band changed, or within reach of it."""
+        edge, tile, reach = changed.block_size_m, self._store.block_size_m, self._reach_m
         bottom = changed.blocks[:, 2] * edge
-        blocks = changed.blocks[(bottom <= self._band[1]) & (bottom + edge >= self._band[0]), :2]
-        low = np.floor(blocks * (edge / tile) + 1e-6).astype(np.int64)
-        high = np.ceil((blocks + 1) * (edge / tile) - 1e-6).astype(np.int64)
+        blocks = changed.blocks[(bottom - reach <= self._band[1]) & (bottom + edge + reach >= self._band[0]), :2]
+        low = np.floor((blocks * edge - reach) / tile + 1e-6).astype(np.int64)
+        high = np.ceil(((blocks + 1) * edge + reach) / tile - 1e-6).astype(np.int64)
         most = int((high - low).max(initial=1))
         tiles = (low[:, None] + np.indices((most, most)).reshape(2, -1).T).reshape(-1, 2)
         tiles = tiles[(tiles < np.repeat(high, most**2, axis=0)).all(axis=1)]
@@ -343,7 +347,7 @@ class CostMap:
         points = np.empty((*shape, 3))
         points[..., :2], points[..., 2] = centres[:, :, None], self._heights
         points = points.reshape(-1, 3)
-        cost, solid = (a.reshape(shape) for a in _look(points, self.labels, self.table, self.occupancy))
+        cost, solid = (a.reshape(shape) for a in _look(points, self.labels, self.table, self.occupancy, self._reach_m))
         n = solid.sum(axis=2)
         if self.rule == "max":
             together = np.where(solid, cost, 0.0).max(axis=2)
@@ -351,6 +355,10 @@ class CostMap:
             together = np.where(solid, cost, 0.0).sum(axis=2) / np.maximum(n, 1)
         empty = np.where((~np.isnan(cost)).mean(axis=2) >= self.known_share, self.table.free, np.nan)
         return np.where(n > 0, together, empty)
+
+
+def _reach(reach_m: float | None, voxel_size_m: float) -> float:
+    return REACH_VOXELS * voxel_size_m if reach_m is None else max(0.0, require("reach_m", reach_m, -1e-9, 10.0, "m"))
 
 
 def _cost(name: str, value: Any) -> float:

@@ -59,7 +59,7 @@ def test_the_cost_in_space_matches_the_naive_twin(seed: int, with_occupancy: boo
     known = occupancy if with_occupancy else None
     points = np.random.default_rng(seed).uniform(-1.3, 1.3, (200, 3))
     expected = [naive_cost(point, semantics, known)[0] for point in points]
-    assert np.array_equal(semantic_cost(points, semantics, TABLE, known), expected, equal_nan=True)
+    assert np.array_equal(semantic_cost(points, semantics, TABLE, known, reach_m=0.0), expected, equal_nan=True)
 
 
 @settings(max_examples=10)
@@ -69,7 +69,7 @@ def test_the_cost_in_space_matches_the_naive_twin(seed: int, with_occupancy: boo
 def test_the_cost_of_columns_matches_the_naive_twin(seed: int, with_occupancy: bool, rule: str, share: float) -> None:
     semantics, occupancy = world(seed, n=300, size=5)
     known = occupancy if with_occupancy else None
-    cost = CostMap(semantics, TABLE, band_m=(-0.2, 0.31), rule=rule, occupancy=known, known_share=share)
+    cost = CostMap(semantics, TABLE, band_m=(-0.2, 0.31), rule=rule, occupancy=known, known_share=share, reach_m=0.0)
     cost.update()
     for i, j in np.random.default_rng(seed).integers(-6, 6, (25, 2)):
         here = [naive_cost((np.array([i, j, k]) + 0.5) * VOXEL, semantics, known) for k in range(-2, 3)]
