@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from mapping.cost import CostGrid, CostMap, CostTable, semantic_cost
 from mapping.errors import InvalidParameter
@@ -141,6 +144,45 @@ def test_free_space_seen_through_a_former_thing_is_free() -> None:
     assert semantic_cost([[0.05, 0.05, 0.05]], semantics, TABLE, occupancy)[0] == TABLE.free
 
 
+def test_a_voxel_with_several_finer_classes_costs_what_the_dearest_does() -> None:
+    semantics, occupancy = SemanticMap(voxel_size_m=VOXEL / 2), OccupancyMap(VOXEL, 5.0)
+    semantics.integrate([[0.02, 0.02, 0.02], [0.07, 0.07, 0.07]], [1, 2])
+    occupancy.assign([[0.05, 0.05, 0.05]], [30])
+    points = [[0.02, 0.02, 0.02], [0.07, 0.07, 0.07], [0.07, 0.02, 0.02]]
+    assert semantic_cost(points, semantics, TABLE, occupancy).tolist() == [0.3, 0.3, 0.3]
+    assert semantic_cost(points, semantics, TABLE)[:2].tolist() == [0.0, 0.3]
+    cost = CostMap(semantics, TABLE, band_m=(0.0, 0.1), occupancy=occupancy)
+    cost.update()
+    assert cost.query([[0.05, 0.05]]).tolist() == [0.3]
+
+
+def test_noise_about_a_labelled_surface_is_taken_for_it_and_what_is_far_from_labels_is_not() -> None:
+    semantics, occupancy = SemanticMap(voxel_size_m=VOXEL / 2), OccupancyMap(VOXEL, 5.0)
+    semantics.integrate([[0.03, 0.03, 0.08]], [1])
+    occupancy.assign([[0.05, 0.05, 0.15], [0.05, 0.05, 0.35]], [30, 30])
+    points = [[0.05, 0.05, 0.15], [0.05, 0.05, 0.35]]
+    assert semantic_cost(points, semantics, TABLE, occupancy).tolist() == [0.0, TABLE.default]
+    assert semantic_cost(points, semantics, TABLE, occupancy, reach_m=0.0).tolist() == [TABLE.default] * 2
+    with pytest.raises(InvalidParameter, match="reach_m"):
+        CostMap(semantics, TABLE, band_m=(0.0, 0.5), occupancy=occupancy, reach_m=-1.0)
+
+
+def test_what_was_never_observed_has_a_cost_of_its_own_where_the_table_gives_one() -> None:
+    semantics, occupancy = world(5, n=60)
+    table = CostTable({1: 1.0}, default=0.5, free=0.05, unknown=7.0)
+    bare = CostTable({1: 1.0}, default=0.5, free=0.05)
+    points = np.random.default_rng(1).uniform(-3, 3, (300, 3))
+    one, other = (semantic_cost(points, semantics, t, occupancy) for t in (table, bare))
+    assert np.array_equal(one, np.where(np.isnan(other), 7.0, other))
+    maps = [CostMap(semantics, t, band_m=(-0.5, 0.5), occupancy=occupancy) for t in (table, bare)]
+    for cost in maps:
+        cost.update()
+    one, other = (cost.query(points) for cost in maps)
+    assert np.isnan(other).any()
+    assert np.array_equal(one, np.where(np.isnan(other), 7.0, other))
+    assert (maps[0].grid().cost == 7.0).sum() == np.isnan(maps[1].grid().cost).sum() > 0
+
+
 def test_relabelling_classes_and_table_changes_no_cost() -> None:
     semantics, occupancy = world(7)
     other = SemanticMap(voxel_size_m=VOXEL)
@@ -182,6 +224,75 @@ def test_inflation_matches_the_naive_twin(seed: int, radius: float) -> None:
         near = away < radius * (1 - 1e-9)
         reached = cost[tuple(cells[near].T)] * (1.0 - away[near] / radius)
         assert grown[i, j] == pytest.approx(reached.max(), abs=1e-9)
+
+
+def served(path: Path) -> tuple[np.ndarray, dict[str, str]]:
+    """What map_server makes of a grid in its mode scale (map_io.cpp of Navigation2): −1 unknown, 0 … 100, rows from
+    the bottom; and the fields of the YAML file."""
+    fields = dict(line.split(": ", 1) for line in path.read_text().splitlines() if not line.startswith("#"))
+    pixels = np.asarray(Image.open(path.parent / fields["image"])).astype(float)
+    occupied, free = float(fields["occupied_thresh"]), float(fields["free_thresh"])
+    share = (255.0 - pixels[..., 0]) / 255.0
+    cells = np.rint((share - free) / (occupied - free) * 100.0)
+    cells[share >= occupied], cells[share <= free], cells[pixels[..., 1] < 255] = 100, 0, -1
+    return cells[::-1], fields
+
+
+def test_a_grid_is_read_by_map_server(tmp_path: Path) -> None:
+    cost = np.array([[0.0, 1.0, 2.0], [np.inf, np.nan, 4.0]])
+    grid = CostGrid(np.array([-1.5, 2.0]), 0.05, cost)
+    written = grid.write(tmp_path / "cost.png")
+    assert written == tmp_path / "cost.yaml"
+    cells, fields = served(written)
+    assert fields["mode"] == "scale"
+    assert (fields["resolution"], fields["origin"]) == ("0.05", "[-1.5, 2, 0.0]")
+    assert cells.tolist() == [[0, 100], [25, -1], [50, 99]]  # rows along y, columns along x
+    assert CostGrid(np.zeros(2), 0.05, np.empty((0, 0))).write(tmp_path / "none.yaml").exists()
+    assert grid.write(tmp_path / "cost.npz") == tmp_path / "cost.npz"
+    with np.load(tmp_path / "cost.npz") as arrays:
+        assert np.array_equal(arrays["cost"], cost, equal_nan=True)
+        assert arrays["corner_m"].tolist() == [-1.5, 2.0]
+        assert float(arrays["cell_size_m"]) == 0.05
+
+
+# -- tables in files -------------------------------------------------------------------------------------------------
+
+
+def test_a_table_is_read_from_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "costs.json"
+    path.write_text('{"costs": {"floor": 0, "person": "never", "lawn": 1}, "default": 0.5, "unknown": 2}')
+    table = CostTable.read(path, CLASSES, allow_absent=True)
+    assert table.costs == {1: 0.0, 3: np.inf}
+    assert (table.default, table.free, table.unknown, table.absent) == (0.5, 0.0, 2.0, ("lawn",))
+    with pytest.raises(InvalidParameter, match=r"costs.json: costs: .*'lawn'"):
+        CostTable.read(path, CLASSES)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("{", "not a JSON file"),
+        ("[]", "expected an object"),
+        ("{}", "'costs' is missing"),
+        ('{"costs": {}}', "'default' is missing"),
+        ('{"costs": 3, "default": 0}', "costs: expected an object"),
+        ('{"costs": {"floor": "always"}, "default": 0}', r"costs\['floor'\]: .*'always'"),
+        ('{"costs": {"floor": null}, "default": 0}', r"costs\['floor'\]"),
+        ('{"costs": {"floor": true}, "default": 0}', r"costs\['floor'\]"),
+        ('{"costs": {"flor": 1}, "default": 0}', "did you mean 'floor'"),
+        ('{"costs": {"floor": 1, "floor": 2}, "default": 0}', "'floor' again"),
+        ('{"costs": {}, "default": -1}', "default: "),
+        ('{"costs": {}, "default": 0, "unknown": "some"}', "unknown: "),
+        ('{"costs": {}, "default": 0, "unknown": null}', "unknown: "),
+        ('{"costs": {}, "defualt": 0}', "'defualt'"),
+    ],
+)
+def test_bad_tables_in_files_are_refused_with_the_field(tmp_path: Path, text: str, named: str) -> None:
+    (tmp_path / "costs.json").write_text(text)
+    with pytest.raises(InvalidParameter, match=named):
+        CostTable.read(tmp_path / "costs.json", CLASSES)
+    with pytest.raises(InvalidParameter, match="cannot be read"):
+        CostTable.read(tmp_path / "none.json", CLASSES)
 
 
 # -- what is refused -------------------------------------------------------------------------------------------------
