@@ -40,6 +40,13 @@ not seen."""
 MERGE_VIEWS = 2
 MERGE_VIEWS_OTHER_CLASS = 3
 """One mask covers two instances in so many views, net of views in which both had masks of their own: they are one."""
+DEPTH_NOISE = 0.0019
+"""Depth is measured with a standard deviation of this times z² [1/m], as by structured light: where it is wider than a
+voxel, a pixel says little about which voxel it means."""
+RIM_POWER = 6
+"""A pixel's vote goes with this power of its trust, so that a voxel on a border belongs to what a near view saw there
+well inside a mask, rather than to what the rims of many masks say: these bleed, which no number of views averages
+out."""
 MEAN_MEMORY = 8.0
 """Votes (about: full views) over which a voxel's mean point is taken."""
 LEAST_WEIGHT = 0.15
@@ -126,19 +133,22 @@ class InstanceMap(PackedLayer):
             if instance_id:
                 self._witness(instance_id, int(seen.label[piece]), int(seen.pixels[piece]), stamp_ns)
         numbers = np.array([0, *(self.instances[i].number if i else 0 for i in ids.tolist())], np.uint16)
-        background = (seen.labels != 0) & (seen.pieces == 0)
-        choices = np.where(background, np.uint16(BACKGROUND), numbers[seen.pieces])
-        touched = self._vote(choices, seen.trust, depth_m, camera, pose)
+        choices, weights = np.empty(depth_m.shape, np.uint16), np.empty(depth_m.shape, np.float32)
+        kernels.weigh(
+            seen.pieces, seen.labels, numbers, np.ascontiguousarray(seen.trust, np.float32), depth_m, DEPTH_NOISE,
+            self.voxel_size_m, RIM_POWER, choices, weights,
+        )  # fmt: skip
+        touched = self._vote(choices, weights, depth_m, camera, pose)
         merged = self._merge(together)
         return InstanceChange(frozenset(touched | set(merged.values()) | self._give_up()), merged)
 
-    def _vote(self, choices: Array, trust: Array, depth_m: Array, camera: Array, pose: Array) -> set[int]:
-        """Count votes of pixels for numbers (H, W); returns the instances that got or lost voxels."""
+    def _vote(self, choices: Array, weights: Array, depth_m: Array, camera: Array, pose: Array) -> set[int]:
+        """Count weighted votes of pixels for numbers (H, W); returns the instances that got or lost voxels."""
         store = self.store
         cells, votes = np.empty(depth_m.shape, np.int32), np.empty(depth_m.shape, np.uint16)
         blocks, bare = evidence.cells_of_image(
-            store.table, store.masks, store.n_blocks, depth_m, choices, np.ascontiguousarray(trust, np.float32),
-            camera, pose, self.voxel_size_m, cells, votes,
+            store.table, store.masks, store.n_blocks, depth_m, choices, weights, camera, pose, self.voxel_size_m, cells,
+            votes,
         )  # fmt: skip
         store.allocate(blocks)
         store.add(bare)

@@ -50,6 +50,47 @@ def wins(records: Array, row: Int, column: Int, least: Int, share: Float) -> boo
 
 
 @njit(cache=True)
+def weigh(
+    pieces: Array,
+    labels: Array,
+    numbers: Array,
+    trust: Array,
+    depth: Array,
+    depth_noise: Float,
+    voxel: Float,
+    power: Int,
+    choices: Array,
+    weights: Array,
+) -> None:
+    """The number that each pixel votes for, and what a full view of it counts, in place.
+
+    pieces (H, W) int32: 1 … n, 0 = none; labels (H, W) uint16, 0 = none; numbers (n + 1,) uint16: of each piece, 0 = no
+    vote; trust (H, W) float32 in 0 … 1; depth (H, W) float32 [m] with a standard deviation of depth_noise · depth²
+    choices (H, W) uint16: BACKGROUND where there is a label and no piece; weights (H, W) float32
+
+    A pixel counts most(piece) · (trust / most(piece)) ^ power / (1 + (2σ / voxel)²), with the most trust that any pixel
+    of its piece has (1 for background), and σ the standard deviation of its depth.
+    """
+    height, width = depth.shape
+    most = np.zeros(len(numbers), np.float32)
+    for v in range(height):
+        for u in range(width):
+            most[pieces[v, u]] = max(most[pieces[v, u]], trust[v, u])
+    most[0] = 1.0
+    spread = 2.0 * depth_noise / voxel
+    for v in range(height):
+        for u in range(width):
+            piece = pieces[v, u]
+            choice = np.int64(numbers[piece]) if piece else BACKGROUND if labels[v, u] else 0
+            choices[v, u] = choice
+            weights[v, u] = 0.0
+            if choice and trust[v, u] > 0.0:
+                z = np.float64(depth[v, u])
+                sigma = spread * z * z
+                weights[v, u] = most[piece] * (trust[v, u] / most[piece]) ** power / (1.0 + sigma * sigma)
+
+
+@njit(cache=True)
 def vote(
     masks: Array,
     first: Array,

@@ -15,7 +15,7 @@ from mapping.kernels import instances as kernels
 from mapping.kernels.instances import BACKGROUND, MEAN_UNIT
 from mapping.packed import PackedStore
 from mapping.semantics import camera_row, pose_rows
-from tests.naive_instances import Ballots
+from tests.naive_instances import Ballots, weight
 
 CAMERA = CameraIntrinsics(fx=11.0, fy=12.0, cx=5.3, cy=4.1, width=12, height=9)
 SHAPE = (CAMERA.height, CAMERA.width)
@@ -88,6 +88,27 @@ def test_votes_are_those_of_the_naive_reference(seed: int) -> None:
     if all(len(set(votes.values())) == len(votes) for votes in leads):  # of equals, the one that led goes on leading
         sizes = {int(n): int(voting.sizes[n]) for n in np.flatnonzero(voting.sizes) if n}
         assert sizes == voting.twin.sizes()
+
+
+@laws
+@given(seed=seeds, power=st.integers(1, 8))
+def test_pixels_weigh_what_their_place_in_the_mask_and_their_depth_say(seed: int, power: int) -> None:
+    rng = np.random.default_rng(seed)
+    pieces = rng.integers(0, 4, SHAPE).astype(np.int32)
+    labels = np.where(rng.random(SHAPE) < 0.2, 0, 7).astype(np.uint16)
+    numbers = np.array([0, 11, 0, 13], np.uint16)
+    trust, depth = rng.random(SHAPE).astype(np.float32), rng.uniform(0.3, 5.0, SHAPE).astype(np.float32)
+    trust[rng.random(SHAPE) < 0.2] = 0.0
+    choices, weights = np.empty(SHAPE, np.uint16), np.empty(SHAPE, np.float32)
+    kernels.weigh(pieces, labels, numbers, trust, depth, 0.0019, VOXEL, power, choices, weights)
+    for at in np.ndindex(*SHAPE):
+        piece = int(pieces[at])
+        expected = int(numbers[piece]) if piece else BACKGROUND if labels[at] else 0
+        assert choices[at] == expected
+        most = float(trust[pieces == piece].max()) if piece else 1.0
+        votes = expected and trust[at] > 0
+        full = weight(float(trust[at]), most, float(depth[at]), 0.0019, VOXEL, power) if votes else 0.0
+        assert weights[at] == pytest.approx(full, rel=1e-4, abs=1e-9)
 
 
 @laws
