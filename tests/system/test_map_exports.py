@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from mapping.tsdf import TsdfMap
 from scenegraph import Client, World
 from scenegraph.cli import app
 from scenegraph.errors import ExportError
+from scenegraph.exporting import Saved, Served, export, export_cost
 from scenegraph.service import Server, exports
 from tests import naive_labelled as naive
 from tests.support.net import free_endpoint
@@ -47,38 +47,37 @@ def world():
 
 
 @pytest.fixture(scope="module")
-def sources(world, tmp_path_factory):
-    """The world in a file and on a server, as the command line names them."""
-    path, endpoint = tmp_path_factory.mktemp("world") / "home.world", free_endpoint()
-    world.save(path)
-    with Server(world, "home", endpoint=endpoint):
-        yield ("--map", path), ("--connect", endpoint)
+def endpoint(world):
+    where = free_endpoint()
+    with Server(world, "home", endpoint=where):
+        yield where
+
+
+@pytest.fixture(scope="module")
+def sources(world, endpoint):
+    """The world in this process and on a server."""
+    with Client("home", endpoint) as client:
+        yield Saved(world), Served(client)
 
 
 def run(*words):
     return CliRunner().invoke(app, [str(word) for word in words])
 
 
-def exported(source, folder: Path, *words: str) -> Path:
-    path = folder / "out"
-    result = run("export", *source, "--output", path, *words, "--json")
-    assert result.exit_code == 0, result.stderr
-    return Path(json.loads(result.stdout)["output"])
-
-
 @pytest.mark.parametrize(
     ("form", "layer"),
     [("ply", "semantics"), ("mesh", None), ("ot", None), ("ply", None), ("bt", None), ("ot", "occupancy")],
 )
-def test_a_file_and_a_server_give_the_same_bytes(sources, tmp_path, form, layer):
-    words = ("--format", form, *(() if layer is None else ("--layer", layer)))
-    one, other = (exported(source, tmp_path, *words).read_bytes() for source in sources)
+@pytest.mark.parametrize("box", [None, "-0.7,-0.3,-0.1,-0.2,0.3,0.5"])
+def test_a_world_and_a_server_give_the_same_bytes(sources, tmp_path, form, layer, box):
+    files = [export(source, form, tmp_path / str(n), layer=layer, box=box) for n, source in enumerate(sources)]
+    one, other = (path.read_bytes() for path in files)
     assert one == other
-    assert len(one) > 1000
+    assert len(one) > 500
 
 
 def test_a_cloud_has_class_instance_confidence_and_colour(world, sources, tmp_path):
-    cloud = naive.read_ply(exported(sources[1], tmp_path, "--format", "ply", "--layer", "semantics"))
+    cloud = naive.read_ply(export(sources[0], "ply", tmp_path / "cloud.ply", layer="semantics"))
     centres, labels, _ = world.map.semantics.voxels()
     assert np.array_equal(cloud["label"], labels)
     assert np.array_equal(cloud["instance"], world.map.instances.query(centres))
@@ -88,13 +87,12 @@ def test_a_cloud_has_class_instance_confidence_and_colour(world, sources, tmp_pa
 
 def test_meshes_have_labels_and_an_octree_has_their_colours(world, sources, tmp_path):
     palette = Palette(world.labels.classes)
-    mesh = naive.read_ply(exported(sources[1], tmp_path, "--format", "mesh"))
+    mesh = naive.read_ply(export(sources[0], "mesh", tmp_path / "mesh.ply"))
     colors = np.stack([mesh[c] for c in ("red", "green", "blue")], axis=1)
     assert np.array_equal(colors, palette.of(mesh["label"]))
     assert set(np.unique(mesh["label"])) >= {1, 2, 3}
-    assert "label" in naive.read_ply(exported(sources[1], tmp_path, "--format", "ply"))
-    path = exported(sources[1], tmp_path, "--format", "ot")
-    tree = read_octomap(path)
+    assert "label" in naive.read_ply(export(sources[0], "ply", tmp_path / "mesh.ply"))
+    tree = read_octomap(export(sources[0], "ot", tmp_path / "classes.ot"))
     centres = world.map.occupancy.occupied_centres()
     assert len(tree.occupied_centres()) == len(centres)
     assert len(tree.free_centres()) == len(world.map.occupancy.free_centres())
@@ -102,57 +100,64 @@ def test_meshes_have_labels_and_an_octree_has_their_colours(world, sources, tmp_
     assert shown >= {tuple(c) for c in palette.of([1, 2, 3])}
 
 
-def test_costs_are_a_grid_and_unknown_names_are_told(sources, tmp_path):
+def test_costs_are_a_grid_and_names_that_the_map_does_not_know_are_told(sources, tmp_path):
     (tmp_path / "costs.json").write_text(json.dumps(COSTS))
     grids = []
     for source in sources:
-        words = ("--format", "cost", "--costs", tmp_path / "costs.json", "--output", tmp_path / "cost.npz", "--json")
-        result = run("export", *source, *words)
-        assert result.exit_code == 0, result.stderr
-        assert json.loads(result.stdout)["absent"] == ["lawn"]
-        with np.load(tmp_path / "cost.npz") as arrays:
+        path, absent = export_cost(source, tmp_path / "costs.json", tmp_path / "cost.npz", band_m=(-0.1, 1.0))
+        assert absent == ("lawn",)
+        with np.load(path) as arrays:
             grids.append(arrays["cost"])
     assert np.array_equal(*grids, equal_nan=True)
     assert {0.0, 4.0, np.inf} <= set(grids[0][~np.isnan(grids[0])].tolist())
     assert np.isnan(grids[0]).any()
-    assert exported(sources[0], tmp_path, "--format", "cost", "--costs", str(tmp_path / "costs.json")).suffix == ".yaml"
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("form", "words", "told"),
     [
-        (("--format", "cost"), "--costs"),
-        (("--format", "ply", "--layer", "semantic"), "did you mean 'semantics'"),
-        (("--format", "ot", "--layer", "tsdf"), "format of tsdf: expected one of npz, ply"),
-        (("--format", "npz"), "expected a layer"),
-        (("--format", "csv", "--layer", "tsdf"), "layer: expected with"),
-        (("--format", "ply", "--box", "1,2"), "box: expected x0,y0,z0,x1,y1,z1"),
+        ("ply", {"layer": "semantic"}, "unknown layer 'semantic'"),
+        ("ot", {"layer": "tsdf"}, "format of tsdf: expected one of npz, ply"),
+        ("npz", {}, "expected a layer"),
+        ("csv", {"layer": "tsdf"}, "layer: expected with"),
+        ("ply", {"box": "1,2"}, "box: expected x0,y0,z0,x1,y1,z1"),
+        ("cost", {}, "table"),
     ],
 )
-def test_what_cannot_be_exported_is_told_in_one_line(sources, tmp_path, words, told):
+def test_what_cannot_be_exported_is_told(sources, tmp_path, form, words, told):
     for source in sources:
-        result = run("export", *source, "--output", tmp_path / "out", *words)
-        assert result.exit_code == 2
-        assert told in result.stderr
-        assert len(result.stderr.strip().splitlines()) == 1
+        with pytest.raises(ExportError, match=told):
+            export(source, form, tmp_path / "out", **words)
 
 
-def test_a_bad_table_is_refused_with_its_field(sources, tmp_path):
+def test_the_command_line_exports_labels_and_costs(endpoint, tmp_path):
+    words = ("--connect", endpoint, "--json", "--output", tmp_path / "out.ply", "--box", "-0.7,-0.3,-0.1,-0.2,0.3,0.5")
+    result = run("export", "--format", "ply", "--layer", "semantics", *words)
+    assert result.exit_code == 0, result.stderr
+    assert json.loads(result.stdout)["bytes"] == (tmp_path / "out.ply").stat().st_size
+    (tmp_path / "costs.json").write_text(json.dumps(COSTS))
+    cost = ("export", "--connect", endpoint, "--format", "cost", "--output", tmp_path / "cost")
+    result = run(*cost, "--costs", tmp_path / "costs.json", "--band", "-0.1", "0.5", "--json")
+    assert result.exit_code == 0, result.stderr
+    assert json.loads(result.stdout)["absent"] == ["lawn"]
+    assert (tmp_path / "cost.png").exists()
     (tmp_path / "costs.json").write_text('{"costs": {"floor": -1}, "default": 0}')
-    words = ("--format", "cost", "--costs", tmp_path / "costs.json")
-    result = run("export", *sources[0], "--output", tmp_path / "out", *words)
+    result = run(*cost, "--costs", tmp_path / "costs.json")
     assert result.exit_code == 2
     assert "costs['floor']" in result.stderr
+    result = run(*cost)
+    assert result.exit_code == 2
+    assert "--costs" in result.stderr
 
 
 # -- over the wire ---------------------------------------------------------------------------------------------------
 
 
-def test_a_query_tells_class_and_instance_and_keeps_what_is_unknown_apart(world, sources):
+def test_a_query_tells_class_and_instance_and_keeps_what_is_unknown_apart(world, endpoint):
     centres, labels, _ = world.map.semantics.voxels()
     on_box = centres[(labels == SCENE.id_of("box")) & (world.map.instances.query(centres) > 0)][0]
     points = np.array([on_box, [0.0, 0.0, 0.52], [9.0, 0.0, 0.0]])
-    with Client("home", sources[1][1]) as client:
+    with Client("home", endpoint) as client:
         told = client.map_query("semantics", points)
     assert told.values.tolist() == [SCENE.id_of("box"), 0, 0]
     assert told.known.tolist() == [True, False, False]
@@ -162,8 +167,8 @@ def test_a_query_tells_class_and_instance_and_keeps_what_is_unknown_apart(world,
     assert told.confidence[0] > 0.5
 
 
-def test_arrays_tell_what_their_class_ids_mean(world, sources):
-    with Client("home", sources[1][1]) as client, np.load(io.BytesIO(client.map_layer("semantics"))) as state:
+def test_arrays_tell_what_their_class_ids_mean(world, endpoint):
+    with Client("home", endpoint) as client, np.load(io.BytesIO(client.map_layer("semantics"))) as state:
         arrays = dict(state)
     assert [(info.name, info.kind, info.color) for info in exports.classes_in(arrays)] == [
         (info.name, info.kind, info.color) for info in world.labels.classes
