@@ -74,6 +74,7 @@ class SemanticMap(PackedLayer):
     kept           classes that a voxel counts one by one, 1 … 15
     n_classes      classes that the segmenter tells apart (bayes)
     accuracy       how often its labels are right, where it does not say (bayes)
+    least          evidence [full views; nats for bayes] below which a voxel is not yet labelled
 
     A voxel on a thing is of the thing's class, once `things` is set: a whole thing is right more often than single
     voxels of it, which are seen less often and lie at the border of masks.
@@ -92,6 +93,7 @@ class SemanticMap(PackedLayer):
         kept: int = 3,
         n_classes: int = 40,
         accuracy: float = 0.7,
+        least: float = 0.05,
     ) -> None:
         if fusion not in ("votes", "bayes"):
             raise InvalidParameter(f"fusion: expected votes or bayes, got {fusion!r}")
@@ -100,6 +102,7 @@ class SemanticMap(PackedLayer):
         self.kept = require_whole("kept", kept, 1, 15)
         self.n_classes = require_whole("n_classes", n_classes, 2, 65535)
         self.accuracy = require("accuracy", accuracy, 0.0, 1.0)
+        self.least = require("least", least, -1e-9, self.memory)
         self.store = PackedStore({"evidence": ("u2", 2 * self.kept + 1)}, voxel_size_m)
 
     def parameters(self) -> dict[str, Any]:
@@ -110,6 +113,7 @@ class SemanticMap(PackedLayer):
             "kept": self.kept,
             "n_classes": self.n_classes,
             "accuracy": self.accuracy,
+            "least": self.least,
         }
 
     # -- evidence in --------------------------------------------------------------------------------------
@@ -210,8 +214,8 @@ class SemanticMap(PackedLayer):
         self._note(np.arange(self.store.n_blocks))
 
     def fade(self, ijk: ArrayLike, gone: ArrayLike | None = None) -> Changed:
-        """What voxels (N, 3) hold counts half; those with less than LEAST_LEFT of a view left, and those that are
-        `gone` (N,), are forgotten."""
+        """What voxels (N, 3) hold counts half; those with too little left for a label, and those `gone` (N,), are
+        forgotten."""
         given = self.store.cells_of(np.asarray(ijk, np.int32).reshape(-1, 3))
         lost = np.zeros(len(given), np.bool_) if gone is None else np.asarray(gone, np.bool_)
         cells, at = np.unique(given, return_index=True)
@@ -220,13 +224,13 @@ class SemanticMap(PackedLayer):
         records = self.store.fields["evidence"]
         kernels.halve(records, rows)
         held = records[rows, self.kept :].sum(axis=1, dtype=np.int64)
-        self.store.remove(cells[lost | (held < LEAST_LEFT * kernels.UNIT)])
+        self.store.remove(cells[lost | (held < max(self.least * kernels.UNIT, 1.0))])
         return self._note(np.unique(cells >> 9))
 
     # -- what is known ------------------------------------------------------------------------------------
     def query(self, p_map: ArrayLike) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:
-        """Class id (N,), 0 where unknown, and how sure it is (N,): its share of the votes or its posterior, NaN where
-        unknown."""
+        """Class id (N,), 0 where unknown or not yet labelled, and how sure it is (N,): its share of the votes or its
+        posterior, NaN where unknown."""
         return self._classes(self.store.cells_at(p_map))
 
     def belief(self, p_map: ArrayLike) -> ClassBelief:
@@ -250,7 +254,8 @@ class SemanticMap(PackedLayer):
         labels = np.empty(len(rows), np.uint16)
         best, held = np.empty(len(rows), np.int64), np.empty(len(rows), np.int64)
         kernels.lead(self.store.fields["evidence"], rows, labels, best, held)
-        known = labels > 0
+        known = (labels > 0) & (held >= self.least * kernels.UNIT)
+        labels[~known] = 0
         confidence = np.full(len(rows), np.nan, np.float32)
         if self.fusion == "votes":
             confidence[known] = best[known] / held[known]
@@ -352,7 +357,3 @@ class SemanticMap(PackedLayer):
             )  # fmt: skip
             slots.append(touched[:n])
         return Changed(self.block_ijk[np.concatenate(slots)], self.block_size_m)
-
-
-LEAST_LEFT = 0.05
-"""A voxel that holds less evidence than this of a full view is forgotten as it fades."""

@@ -16,6 +16,8 @@ Array: TypeAlias = NDArray[Any]
 Int: TypeAlias = Any
 Float: TypeAlias = Any
 
+MOST_SIGMA = 3.0
+"""Pixels beside each other are of one surface when their mean is no more σ of the depth away."""
 FOOTPRINT = 1.25
 """A pixel of depth covers its share of the other image and a quarter more, for surfaces that the other camera sees
 less aslant."""
@@ -157,3 +159,34 @@ def pick_pixels(seen: Array, nearest: Array, tolerance: Float, index: Array) -> 
             i = min(max(np.int64(np.floor(seen[v, u, 0] + np.float32(0.5))), 0), width - 1)
             j = min(max(np.int64(np.floor(seen[v, u, 1] + np.float32(0.5))), 0), height - 1)
             index[v, u] = j * width + i if z > 0.0 and z <= nearest[j, i] * (1.0 + tolerance) else -1
+
+
+@njit(cache=True, error_model="numpy")
+def smooth_depth(depth: Array, noise_base: Float, noise_growth: Float, smooth: Array) -> None:
+    """The mean of each pixel's depth and those about it that lie on its surface, filled into smooth (H, W) float32.
+
+    depth (H, W) float32 [m], 0 = nothing. Noise σ(z) = noise_base + noise_growth · (z − 0.4)² [m]. The eight pixels
+    around count in pairs that face each other, where both measured something and their mean differs from the depth
+    by less than MOST_SIGMA · σ: so a slant does not shift the mean, and the far side of an edge has no part in it.
+    """
+    height, width = depth.shape
+    base, growth, zero = np.float32(noise_base * MOST_SIGMA), np.float32(noise_growth * MOST_SIGMA), np.float32(0.0)
+    two, near = np.float32(2.0), np.float32(0.4)
+    smooth[0], smooth[height - 1] = depth[0], depth[height - 1]
+    for v in range(1, height - 1):
+        above, here, below, out = depth[v - 1], depth[v], depth[v + 1], smooth[v]
+        out[0], out[width - 1] = here[0], here[width - 1]
+        for u in range(1, width - 1):  # no branches, so that it runs on vectors
+            z = here[u]
+            limit = two * (base + growth * (z - near) * (z - near))
+            total, n = z, np.float32(1.0)
+            for p, q in (
+                (here[u - 1], here[u + 1]),
+                (above[u], below[u]),
+                (above[u - 1], below[u + 1]),
+                (above[u + 1], below[u - 1]),
+            ):
+                fits = (abs(p + q - two * z) < limit) & (p > zero) & (q > zero)
+                total += p + q if fits else zero
+                n += two if fits else zero
+            out[u] = total / n if z > zero else zero

@@ -268,15 +268,14 @@ def hashed(ijk: np.ndarray) -> np.ndarray:
 def test_a_layer_of_votes_takes_the_evidence() -> None:
     points, labels = wall()
     spread = spread_labels(points, labels, SE3.identity(), np.diag([1e-3, 1e-3, 1e-4, 0, 0, 1e-4]), VOXEL)
-    semantics = SemanticMap(voxel_size_m=VOXEL, memory=250.0)
+    semantics = SemanticMap(voxel_size_m=VOXEL, memory=250.0, least=0.0)
     semantics.integrate(spread.centres, spread.labels, spread.evidence)
     voxels, leaders, share = spread.leaders()
     found, confidence = semantics.query((voxels + 0.5) * VOXEL)
     belief = semantics.belief((voxels + 0.5) * VOXEL)
     told = np.where(np.isnan(belief.other), 0.0, belief.probability[:, 0]) > 0.0
-    assert (
-        spread.evidence[~np.isin(hashed(spread.ijk), hashed(voxels[told]))].max() < 0.5 / 256
-    )  # less than a layer counts
+    untold = ~np.isin(hashed(spread.ijk), hashed(voxels[told]))
+    assert spread.evidence[untold].max() < 0.5 / 256, "only less than a layer counts is lost"
     clear = told & (share > 0.51)
     assert clear.mean() > 0.5
     assert np.array_equal(found[clear], leaders[clear])

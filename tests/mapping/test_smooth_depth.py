@@ -1,0 +1,53 @@
+"""Depth is smoothed along surfaces and never across their edges."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mapping.kernels.images import MOST_SIGMA, smooth_depth
+
+BASE, GROWTH = 0.0012, 0.0019
+PAIRS = (((0, -1), (0, 1)), ((-1, 0), (1, 0)), ((-1, -1), (1, 1)), ((-1, 1), (1, -1)))
+
+
+def smoothed(depth: np.ndarray) -> np.ndarray:
+    out = np.empty_like(depth)
+    smooth_depth(depth, BASE, GROWTH, out)
+    return out
+
+
+def twin(depth: np.ndarray) -> np.ndarray:
+    out = depth.astype(np.float64)
+    for v in range(1, depth.shape[0] - 1):
+        for u in range(1, depth.shape[1] - 1):
+            z = float(depth[v, u])
+            taken = [z]
+            for (a, b), (c, d) in PAIRS:
+                p, q = float(depth[v + a, u + b]), float(depth[v + c, u + d])
+                if p > 0 and q > 0 and abs(0.5 * (p + q) - z) < MOST_SIGMA * (BASE + GROWTH * (z - 0.4) ** 2):
+                    taken += [p, q]
+            out[v, u] = np.mean(taken) if z > 0 else 0.0
+    return out
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6))
+def test_the_kernel_equals_its_twin(seed):
+    rng = np.random.default_rng(seed)
+    depth = (rng.choice([0.0, 1.0, 2.5], (7, 9)) + 0.01 * rng.standard_normal((7, 9))).astype(np.float32)
+    depth[depth < 0.5] = 0.0
+    assert np.allclose(smoothed(depth), twin(depth), atol=1e-5)
+
+
+def test_noise_falls_to_a_third_and_a_slant_stays():
+    rng = np.random.default_rng(1)
+    true = (2.0 + 0.004 * np.arange(200) + np.zeros((150, 1))).astype(np.float32)
+    noisy = true + (0.005 * rng.standard_normal(true.shape)).astype(np.float32)
+    error = (smoothed(noisy) - true)[1:-1, 1:-1]
+    assert error.std() < 0.4 * 0.005
+    assert abs(error.mean()) < 2e-4
+
+
+def test_an_edge_stays_sharp():
+    depth = np.where(np.arange(40) < 20, 1.0, 1.2).astype(np.float32) + np.zeros((30, 1), np.float32)
+    assert np.array_equal(smoothed(depth), depth)
