@@ -14,7 +14,10 @@ from mapping.clearing import seen_through
 from mapping.esdf import EsdfMap
 from mapping.geometry import SE3
 from mapping.instances import InstanceChange, InstanceMap
+from mapping.kernels.images import smooth_depth
 from mapping.layer import Changed, MapLayer
+from mapping.moving import MovingChange, MovingThings
+from mapping.object_space import DEPTH_NOISE
 from mapping.observations import RgbdImage, Scan
 from mapping.occupancy import OccupancyMap
 from mapping.planes import PlaneChange, PlaneMap
@@ -44,6 +47,7 @@ class MapChange:
     tsdf: Changed
     planes: PlaneChange = field(default_factory=PlaneChange)
     instances: InstanceChange = field(default_factory=lambda: InstanceChange(frozenset(), {}))
+    moving: MovingChange = field(default_factory=MovingChange)
     T_map_camera: SE3 | None = None
 
 
@@ -54,12 +58,20 @@ class LayeredMap:
     instance_voxel_size_m  edge of the finer voxels of classes and things [m]
     max_range_m            measurements beyond this are cut [m]
     label_range_m          labels beyond this are not believed [m]
+    follow_moving          whether what moves by itself and is left out of the map is kept beside it, see `moving`
     """
 
     def __init__(
-        self, *, voxel_size_m: float, instance_voxel_size_m: float, max_range_m: float, label_range_m: float
+        self,
+        *,
+        voxel_size_m: float,
+        instance_voxel_size_m: float,
+        max_range_m: float,
+        label_range_m: float,
+        follow_moving: bool = False,
     ) -> None:
         self.max_range_m = max_range_m
+        self.follow_moving = follow_moving
         self.label_range_m = label_range_m
         self.occupancy = OccupancyMap(voxel_size_m=voxel_size_m, max_range_m=max_range_m)
         self.tsdf = TsdfMap(
@@ -71,6 +83,7 @@ class LayeredMap:
         self.semantics = SemanticMap(voxel_size_m=instance_voxel_size_m)
         self.instances = InstanceMap(voxel_size_m=instance_voxel_size_m)
         self.semantics.things = self.instances
+        self.moving = MovingThings(voxel_size_m=instance_voxel_size_m)
         self.planes = PlaneMap(voxel_size_m)
         self.esdf = self._distance_field()
         self._images = 0
@@ -85,7 +98,8 @@ class LayeredMap:
 
     def state(self) -> dict[str, dict[str, Array]]:
         """The arrays of all layers, by layer."""
-        return {**{name: layer.state() for name, layer in self.layers.items()}, "planes": self.planes.state()}
+        layers = {name: layer.state() for name, layer in self.layers.items()}
+        return {**layers, "moving": self.moving.state(), "planes": self.planes.state()}
 
     def restore(self, state: Mapping[str, Mapping[str, Array]]) -> None:
         """Take over what `state` gave."""
@@ -94,6 +108,8 @@ class LayeredMap:
         self.semantics = SemanticMap.from_state(state["semantics"])
         self.instances = InstanceMap.from_state(state["instances"])
         self.semantics.things = self.instances
+        if "moving" in state:  # maps that were saved by earlier versions have none
+            self.moving = MovingThings.from_state(state["moving"])
         self.planes.restore(state["planes"])
         self.esdf = self._distance_field()
 
@@ -107,7 +123,9 @@ class LayeredMap:
         """
         depth_m = image.depth_m
         if moving is not None and image.labels is not None and moving.any():
-            depth_m = np.where(beside(moving[image.labels], MOVING_RIM_PX), np.float32(0.0), depth_m)
+            mask = moving[image.labels]
+            if mask.any():
+                depth_m = np.where(beside(mask, MOVING_RIM_PX), np.float32(0.0), depth_m)
         T_map_camera = self._corrected(image, depth_m, T_map_camera)
         view = DepthView(depth_m, image.intrinsics, T_map_camera, self.max_range_m)
         occupancy = self.occupancy.integrate_view(view)
@@ -117,7 +135,10 @@ class LayeredMap:
         instances = self._vote(image, depth_m, T_map_camera, things)
         lost = self._clear(view)
         instances = replace(instances, touched=instances.touched | lost)
-        return MapChange(occupancy, tsdf, planes, instances, T_map_camera)
+        followed = MovingChange()
+        if self.follow_moving and moving is not None:
+            followed = self.moving.integrate_image(image, self._near(image.depth_m), T_map_camera, moving)
+        return MapChange(occupancy, tsdf, planes, instances, followed, T_map_camera)
 
     def _corrected(self, image: RgbdImage, depth_m: Array, T_map_camera: SE3) -> SE3:
         """The pose as the map corrects it, where it is uncertain."""
@@ -138,10 +159,15 @@ class LayeredMap:
     def _vote(self, image: RgbdImage, depth_m: Array, T_map_camera: SE3, things: Array) -> InstanceChange:
         if image.labels is None:
             return InstanceChange(frozenset(), {})
-        depth_m = np.where(depth_m < self.label_range_m, depth_m, np.float32(0.0))
-        seen = segment(image, depth_m, things)
+        near = self._near(depth_m)
+        seen = segment(image, near, things)
+        depth_m = np.empty_like(near)
+        smooth_depth(near, *DEPTH_NOISE, depth_m)
         self.semantics.integrate_image(depth_m, seen.labels, seen.trust, image.intrinsics, T_map_camera)
         return self.instances.integrate_image(seen, depth_m, image.intrinsics, T_map_camera, image.stamp_ns)
+
+    def _near(self, depth_m: Array) -> Array:
+        return np.where(depth_m < self.label_range_m, depth_m, np.float32(0.0))
 
     def _clear(self, view: DepthView) -> set[int]:
         """Let what is known of voxels fade through which free space is seen; returns the instances that lost some."""

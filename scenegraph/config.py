@@ -19,7 +19,9 @@ class WorldConfig(BaseModel):
     instance_voxel_size_m edge of the voxels of classes and things; default half a voxel, at most 2.5 cm
     max_range_m           surfaces beyond this distance from the sensor are not mapped
     label_range_m         labels beyond this are not believed
-    moving                what becomes of classes that move by themselves: left out of the map, or fused like all else
+    moving                what becomes of classes that move by themselves: left out of the map; kept beside it, each
+                          thing as a model of its own that moves; or fused like all else
+    spread_labels         whether labels of images are spread over where they may belong, given the pose's covariance
     rule_files            Prolog files of the user, loaded after the rules that come with the package
     robot_radius_m        of robots that do not describe themselves
     """
@@ -30,7 +32,8 @@ class WorldConfig(BaseModel):
     instance_voxel_size_m: Metres | None = None
     max_range_m: Metres = 6.0
     label_range_m: Metres = 5.0
-    moving: Literal["leave_out", "fuse"] = "leave_out"
+    moving: Literal["leave_out", "model", "fuse"] = "leave_out"
+    spread_labels: bool = False
     rule_files: tuple[Path, ...] = ()
     robot_radius_m: Metres = 0.25
 

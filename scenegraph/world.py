@@ -49,6 +49,7 @@ class World:
             instance_voxel_size_m=self.config.fine_voxel_size_m,
             max_range_m=self.config.max_range_m,
             label_range_m=self.config.label_range_m,
+            follow_moving=self.config.moving == "model",
         )
         self.graph = SceneGraph()
         self.frames = FrameTree()
@@ -102,7 +103,7 @@ class World:
             image = image.model_copy(update={"labels": labels})
         else:
             image = self._desk.label(image, self.labels)
-        moving = self.labels.moving if self.config.moving == "leave_out" else None
+        moving = None if self.config.moving == "fuse" else self.labels.moving
         change = self.map.integrate_image(image, T_map_camera, self.labels.things, moving)
         self.T_map_camera = change.T_map_camera or T_map_camera
         self._desk.keep(image, self.T_map_camera)
