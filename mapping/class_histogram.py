@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from mapping.errors import InvalidParameter
 from mapping.geometry import SE3
 from mapping.grid import ijk_to_centre
+from mapping.kernels import labelled as kernels
 from mapping.labelled import labels_of_cubes
 from mapping.mesh import Mesh
 from mapping.observations import Box3d
-from mapping.occupancy import FREE, OCCUPIED, OccupancyMap, classes_of
+from mapping.occupancy import OccupancyMap
 from mapping.semantics import SemanticMap
 
 Array: TypeAlias = NDArray[Any]
@@ -92,13 +93,11 @@ def class_histogram(
     areas, bare = (None, None) if mesh is None else _areas(inside, mesh)
     if areas is not None:
         classes, voxels = _joined(classes, voxels, np.flatnonzero(areas[1:] > 0.0) + 1)
-    occupied = free = unseen = unlabelled = 0
-    for codes, centres in _occupancy_in(inside, occupancy):
-        surfaces = codes == OCCUPIED
-        occupied += int(surfaces.sum())
-        free += int((codes == FREE).sum())
-        unseen += int((codes < FREE).sum())
-        unlabelled += int((labels_of_cubes(centres[surfaces], occupancy.voxel_size_m, semantics) == 0).sum())
+    counts = np.zeros(3, np.int64)
+    unlabelled = 0
+    for centres in _occupied(inside, occupancy, counts):
+        unlabelled += int((labels_of_cubes(centres, occupancy.voxel_size_m, semantics) == 0).sum())
+    occupied, free, unseen = counts.tolist()
     return ClassHistogram(
         classes.astype(np.uint16),
         voxels.astype(np.int64),
@@ -118,13 +117,14 @@ class _Inside:
     def __init__(self, box: OrientedBox) -> None:
         w, x, y, z = (float(v) for v in box.rotation_wxyz)
         pose = SE3.from_quaternion(np.array([w, x, y, z]), np.asarray(box.center, np.float64))
-        self.centre, self.axes = pose.translation, pose.rotation
+        self.centre, self.axes = np.array(pose.translation), np.array(pose.rotation)
         self.half = np.asarray(box.size, np.float64) / 2
         reach = np.abs(self.axes) @ self.half
         self.low, self.high = self.centre - reach, self.centre + reach
 
     def __call__(self, points: Array) -> NDArray[np.bool_]:
-        away = (points - self.centre) @ self.axes
+        x, y, z = (points - self.centre).T
+        away = np.stack([x * a + y * b + z * c for a, b, c in self.axes.T], axis=1)
         return np.asarray(((away >= -self.half) & (away < self.half)).all(axis=1))
 
 
@@ -138,8 +138,9 @@ def _labels_in(inside: _Inside, semantics: SemanticMap) -> NDArray[np.uint16]:
     return labels[labels > 0]
 
 
-def _occupancy_in(inside: _Inside, occupancy: OccupancyMap) -> Iterator[tuple[Array, Array]]:
-    """The classes (n,) and centres (n, 3) of the voxels in the box, a slab at a time."""
+def _occupied(inside: _Inside, occupancy: OccupancyMap, counts: Array) -> Iterator[Array]:
+    """The centres (n, 3) of the occupied voxels in the box, a slab at a time; counts (3,) voxels that are occupied,
+    free and unknown, in place."""
     size = occupancy.voxel_size_m
     first = np.floor(inside.low / size).astype(np.int64)
     shape = np.floor(inside.high / size).astype(np.int64) + 1 - first
@@ -148,10 +149,11 @@ def _occupancy_in(inside: _Inside, occupancy: OccupancyMap) -> Iterator[tuple[Ar
     nx, ny, nz = (int(n) for n in shape)
     thick = max(1, _AT_ONCE // (ny * nz))
     for start in range(0, nx, thick):
-        corner, extent = first + np.array([start, 0, 0]), (min(thick, nx - start), ny, nz)
-        centres = ijk_to_centre(np.indices(extent).reshape(3, -1).T + corner, size)
-        within = inside(centres)
-        yield classes_of(occupancy.evidence_in(corner, extent).reshape(-1)[within]), centres[within]
+        corner = first + np.array([start, 0, 0])
+        evidence = occupancy.evidence_in(corner, (min(thick, nx - start), ny, nz))
+        solid = np.empty((int(np.count_nonzero(evidence >= 0)), 3), np.int64)
+        n = kernels.count_box(evidence, corner, size, inside.centre, inside.axes, inside.half, counts, solid)
+        yield ijk_to_centre(solid[:n], size)
 
 
 def _areas(inside: _Inside, mesh: Mesh) -> tuple[NDArray[np.float64], float]:

@@ -38,9 +38,12 @@ class Palette:
 
     def of(self, labels: ArrayLike) -> NDArray[np.uint8]:
         """(N, 3) uint8 red, green, blue of class ids (N,)."""
-        ids, rows = np.unique(np.asarray(labels, np.int64), return_inverse=True)
-        table = np.array([self[int(label)] for label in ids], np.uint8).reshape(-1, 3)
-        return np.asarray(table[rows.reshape(-1)])
+        ids = np.asarray(labels, np.uint16)
+        counts = np.bincount(ids, minlength=1)
+        table = np.empty((len(counts), 3), np.uint8)
+        for label in np.flatnonzero(counts).tolist():
+            table[label] = self[label]
+        return np.asarray(table[ids])
 
     def __getitem__(self, label: int) -> Color:
         """Red, green, blue of one class id."""

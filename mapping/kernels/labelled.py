@@ -1,4 +1,4 @@
-"""Where the labelled voxel next to a point is."""
+"""Where the labelled voxel next to a point is, and what a turned box holds."""
 
 from __future__ import annotations
 
@@ -56,3 +56,36 @@ def nearest_cells(table: Array, masks: Array, points: Array, voxel: Float, reach
                         if has_record(masks, cell):
                             best = far
                             cells[n] = cell
+
+
+@njit(cache=True)
+def count_box(
+    evidence: Array, corner: Array, voxel: Float, centre: Array, axes: Array, half: Array, counts: Array, solid: Array
+) -> Int:
+    """Count the voxels whose centres lie in a box: occupied, free and unknown, in place; returns how many of them are
+    listed.
+
+    evidence (nx, ny, nz) int8 of the voxels from `corner` (3,) on: −128 unknown, ≥ 0 occupied; voxel: edge [m]
+    centre (3,) [m], axes (3, 3) its columns, half (3,) [m]: the box; its lower faces belong to it, its upper ones not
+    counts (3,) int64; solid (m, 3) int64: the occupied voxels, as many as fit
+    """
+    n = 0
+    for i in range(evidence.shape[0]):
+        x = (corner[0] + i + 0.5) * voxel - centre[0]
+        for j in range(evidence.shape[1]):
+            y = (corner[1] + j + 0.5) * voxel - centre[1]
+            for k in range(evidence.shape[2]):
+                z = (corner[2] + k + 0.5) * voxel - centre[2]
+                inside = True
+                for a in range(3):
+                    away = x * axes[0, a] + y * axes[1, a] + z * axes[2, a]
+                    inside = inside and -half[a] <= away < half[a]
+                if not inside:
+                    continue
+                value = evidence[i, j, k]
+                counts[0 if value >= 0 else 2 if value == -128 else 1] += 1
+                if value >= 0:
+                    if n < solid.shape[0]:
+                        solid[n, 0], solid[n, 1], solid[n, 2] = corner[0] + i, corner[1] + j, corner[2] + k
+                    n += 1
+    return n

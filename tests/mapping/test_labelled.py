@@ -80,7 +80,9 @@ def test_never_observed_empty_unlabelled_and_labelled_are_told_apart(seed: int) 
 def test_each_state_is_met(table: tuple[LayeredMap, Scene]) -> None:
     layers, scene = table
     layers.occupancy.assign([[1.0, 1.0, 1.05]], 30)
-    points = [[9.0, 0.0, 0.0], [0.0, 0.0, 0.52], [1.0, 1.0, 1.05], [-0.4, 0.0, 0.31], [np.nan, 0.0, 0.0]]
+    centres, labels, _ = layers.semantics.voxels()
+    on_box = centres[(labels == scene.id_of("box")) & (layers.instances.query(centres) > 0)][0]
+    points = [[9.0, 0.0, 0.0], [0.0, 0.0, 0.52], [1.0, 1.0, 1.05], on_box, [np.nan, 0.0, 0.0]]
     found = labels_at(points, layers.semantics, layers.occupancy, layers.instances)
     assert found.state.tolist() == [UNSEEN, EMPTY, UNLABELLED, LABELLED, UNSEEN]
     assert found.labels.tolist() == [0, 0, 0, scene.id_of("box"), 0]
