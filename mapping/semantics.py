@@ -19,6 +19,7 @@ from mapping.errors import InvalidParameter
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import as_points, ijk_to_centre, point_to_ijk
 from mapping.kernels import evidence as kernels
+from mapping.label_uncertainty import spread_labels
 from mapping.layer import Changed, require, require_whole
 from mapping.packed import PackedLayer, PackedStore
 
@@ -128,8 +129,7 @@ class SemanticMap(PackedLayer):
             raise InvalidParameter(
                 f"labels, weights, confidence: expected one a point, {len(points)}, got {choices.shape}, {trust.shape}"
             )
-        counts = self._counts(trust)
-        return self._give([(self._cells(points, (choices != 0) & (counts > 0)), choices, counts)])
+        return self._add(points, choices, trust)
 
     def integrate_scores(
         self, p_map: ArrayLike, scores: ArrayLike, classes: ArrayLike, weights: ArrayLike | None = None
@@ -162,14 +162,21 @@ class SemanticMap(PackedLayer):
         intrinsics: CameraIntrinsics,
         T_map_camera: SE3,
         confidence: Array | None = None,
+        covariance: Array | None = None,
     ) -> Changed:
         """Labels of pixels: depth (H, W) float32 [m], class ids (H, W) uint16 with 0 = none, trust (H, W) in 0 … 1,
-        confidence (H, W) in 0 … 1 that a label is right."""
+        confidence (H, W) in 0 … 1 that a label is right.
+
+        covariance : (6, 6) of the pose, in the camera's frame: each label is spread over where it may belong
+                     (`spread_labels`), which takes some ten times as long
+        """
         store = self.store
         weight = np.ascontiguousarray(trust, np.float32)
         gain = self._gain(confidence)
         if confidence is not None or gain != 1.0:
             weight = weight * np.asarray(gain, np.float32)
+        if covariance is not None:
+            return self._spread(depth_m, labels, weight, intrinsics, T_map_camera, covariance)
         cells, counts = np.empty(depth_m.shape, np.int32), np.empty(depth_m.shape, np.uint16)
         blocks, bare = kernels.cells_of_image(
             store.table, store.masks, store.n_blocks, depth_m, np.asarray(labels, np.uint16), weight,
@@ -178,6 +185,25 @@ class SemanticMap(PackedLayer):
         store.allocate(blocks)
         store.add(bare)
         return self._give([(cells.ravel(), labels.ravel(), counts.ravel())])
+
+    def _spread(
+        self,
+        depth_m: Array,
+        labels: Array,
+        weight: Array,
+        intrinsics: CameraIntrinsics,
+        T_map_camera: SE3,
+        sigma: Array,
+    ) -> Changed:
+        voting = (labels > 0) & (depth_m > 0) & (weight > 0)
+        points = T_map_camera @ intrinsics.backproject(depth_m)[voting].astype(np.float64)
+        width = depth_m[voting].astype(np.float64) / self.voxel_size_m
+        views = weight[voting] * np.minimum(width**2 / (intrinsics.fx * intrinsics.fy), 1.0)
+        least = 1.0 / kernels.UNIT
+        found = spread_labels(
+            points, labels[voting], T_map_camera, sigma, self.voxel_size_m, weights=views, least=least
+        )
+        return self._add(found.centres, found.labels, found.evidence)
 
     def merge(self, other: SemanticMap) -> None:
         """Add all that another map with the same parameters knows; both must be in the same frame."""
@@ -344,6 +370,11 @@ class SemanticMap(PackedLayer):
         cells[wanted] = self.store.cells_of(voxels)
         self.store.add(cells)
         return cells
+
+    def _add(self, points: Array, choices: Array, amounts: Array) -> Changed:
+        """Give evidence (N,) for classes (N,) at points (N, 3)."""
+        counts = self._counts(amounts)
+        return self._give([(self._cells(points, (choices != 0) & (counts > 0)), choices, counts)])
 
     def _give(self, rounds: list[tuple[Array, Array, Array]]) -> Changed:
         """Give evidence (n,) for classes (n,) to cells (n,), round by round."""

@@ -295,6 +295,22 @@ def test_a_pixel_counts_for_the_voxel_of_its_point(seed) -> None:
         assert held(semantics) == {voxel: (dict(counts), 0) for voxel, counts in ledger.given.items()}
 
 
+@pytest.mark.parametrize("fusion", ["votes", "bayes"])
+def test_labels_from_an_uncertain_pose_are_spread_and_none_is_lost(fusion) -> None:
+    camera = CameraIntrinsics(fx=60.0, fy=60.0, cx=31.5, cy=23.5, width=64, height=48)
+    depth = np.full((48, 64), 1.52, np.float32)
+    labels = np.where(np.arange(64) < 32, 3, 4).astype(np.uint16) + np.zeros((48, 1), np.uint16)
+    sure, spread = (SemanticMap(voxel_size_m=0.05, fusion=fusion) for _ in range(2))
+    for semantics, sigma in ((sure, None), (spread, np.diag([9e-4] * 3 + [0.0] * 3))):
+        semantics.integrate_image(depth, labels, np.ones_like(depth), camera, SE3.identity(), covariance=sigma)
+    one, two = (sum(sum(c.values()) + o for c, o in held(s).values()) for s in (sure, spread))
+    assert two == pytest.approx(one, rel=0.05)
+    assert len(held(spread)) > 2 * len(held(sure))
+    border, inside = spread.belief([[0.01, 0.0, 1.52]]), spread.belief([[0.5, 0.0, 1.52]])
+    assert set(border.classes[0].tolist()) == {0, 3, 4}
+    assert set(inside.classes[0].tolist()) == {0, 4}
+
+
 def test_the_shares_of_many_pixels_add_up() -> None:
     """A full view counts one, though each of its pixels counts less than a unit."""
     camera = CameraIntrinsics(fx=525.0, fy=525.0, cx=319.5, cy=239.5, width=640, height=480)
