@@ -45,6 +45,8 @@ OWN_RANK = 0.4
 """Which of these is taken: a little under the median, as slanted borders are looked across at an angle."""
 BLEED_MEMORY = 50.0
 """The bleed of masks that show none is that of about so many others seen last."""
+DOUBT = 0.3
+"""Trust, times this, where two masks touch on one surface: either may have bled over the other."""
 LEAST_PIXELS = 40
 """A piece smaller than this says too little about where a thing is."""
 PART_SHARE = 0.1
@@ -119,7 +121,8 @@ def segment(image: RgbdImage, depth_m: Array, things: Array, bleed: Bleed | None
     pixel_m = 1.0 / image.intrinsics.fx
     borders = find_borders(mask)
     bleed_px = (Bleed() if bleed is None else bleed).measure(mask, borders, len(names), depth, pixel_m)
-    take_off(mask, borders, depth, bleed_px, RIM_SHARE, DEPTH_STEP_M, RIM_SLOPE, pixel_m)
+    doubtful = np.zeros(shape, np.uint8)
+    take_off(mask, doubtful, borders, depth, bleed_px, RIM_SHARE, DEPTH_STEP_M, RIM_SLOPE, pixel_m)
 
     kernels.mask_depths(mask, distance)
     kernels.find_cores(mask, distance, _CORE_LEAST, core)
@@ -139,7 +142,9 @@ def segment(image: RgbdImage, depth_m: Array, things: Array, bleed: Bleed | None
     class_of_group[group] = class_of_mask[of_mask]
     labels, trust = np.empty(shape, np.uint16), np.empty(shape, np.float32)
     confidence = _image(image.label_confidence, (0, 0), np.float32)
-    kernels.believe(pieces, labels, trust, number, class_of_mask, mask, depth, distance, BLEED_PX, confidence)
+    kernels.believe(
+        pieces, labels, trust, number, class_of_mask, mask, depth, distance, BLEED_PX, doubtful, DOUBT, confidence
+    )
     return Segmentation(labels, trust, pieces, class_of_group[large], pixels[large])
 
 

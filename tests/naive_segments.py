@@ -16,10 +16,10 @@ def inside(image: np.ndarray, v: int, u: int) -> bool:
 
 
 def borders(mask: np.ndarray) -> Iterator[tuple[int, int, int, int, int]]:
-    """Every background pixel beside a mask, the step into the mask, and which mask that is."""
-    for v, u in np.argwhere(mask <= 0).tolist():
+    """Every pixel beside a mask that is not of it, the step into the mask, and which mask that is."""
+    for v, u in np.ndindex(mask.shape):
         for dv, du in FOUR:
-            if inside(mask, v + dv, u + du) and mask[v + dv, u + du] > 0:
+            if inside(mask, v + dv, u + du) and 0 < mask[v + dv, u + du] != mask[v, u]:
                 yield v, u, dv, du, int(mask[v + dv, u + du])
 
 
@@ -30,6 +30,8 @@ def bleeds(
     """How many border pixels of each mask show each reach beyond the thing [half pixels]."""
     found: defaultdict[int, defaultdict[int, int]] = defaultdict(lambda: defaultdict(int))
     for v, u, dv, du, m in borders(mask):
+        if mask[v, u] > 0:
+            continue
         # the ray of pixels through the border: those of the background up to the gap, then those of the mask
         outer = []
         for s in range(gap):
@@ -54,10 +56,10 @@ def bleeds(
     return {m: dict(of) for m, of in found.items()}
 
 
-def without_rims(
+def rims(
     mask: np.ndarray, depth: np.ndarray, bleed: np.ndarray, share: float, step_m: float, slope: float, pixel_m: float
-) -> dict[tuple[int, int], set[int]]:
-    """What each pixel of the masks may become: the background at the nearest border that faces it, or the mask."""
+) -> dict[tuple[int, int], set[tuple[int, bool]]]:
+    """What each pixel of the masks may become, by the nearest pixels outside that face it, and whether in doubt."""
     facing: defaultdict[tuple[int, int], defaultdict[int, set[tuple[int, int]]]]
     facing = defaultdict(lambda: defaultdict(set))
     for v, u, dv, du, m in borders(mask):
@@ -67,13 +69,14 @@ def without_rims(
                 facing[a, b][down**2 + right**2].add((v, u))
     choices = {}
     for pixel, by_distance in facing.items():
-        square, m, choices[pixel] = min(by_distance), mask[pixel], set()
+        square, m, choices[pixel] = min(by_distance), int(mask[pixel]), set()
         for v, u in by_distance[square]:
             behind = (v + round((pixel[0] - v) / share), u + round((pixel[1] - u) / share))
-            goes_on = not inside(mask, *behind) or mask[behind] == m
+            deep = not inside(mask, *behind) or mask[behind] == m
             limit = step_m + slope * np.sqrt(square) * depth[v, u] * pixel_m
-            rim = square <= bleed[m] ** 2 and goes_on and abs(depth[pixel] - depth[v, u]) < limit
-            choices[pixel].add(int(mask[v, u] if rim else m))
+            rim = square <= bleed[m] ** 2 and abs(depth[pixel] - depth[v, u]) < limit
+            outside = int(mask[v, u])
+            choices[pixel].add((outside if rim and deep and outside <= 0 else m, bool(rim and outside > 0)))
     return choices
 
 

@@ -19,23 +19,26 @@ GAP_PX = 6  # depth is looked for at most this far beside a jump, where cameras 
 
 @njit(cache=True)
 def find_borders(mask: Array) -> Array:
-    """Where masks (H, W) int32 border on the background: (n,) int32 4 · pixel of the background + way into the mask.
+    """Where masks (H, W) int32 end: (n,) int32 4 · pixel outside + way into the mask.
 
-    Pixels are counted row by row; ways are 0 up, 1 down, 2 left, 3 right.
+    Pixels are counted row by row; ways are 0 up, 1 down, 2 left, 3 right. Outside is background or another mask.
     """
     height, width = mask.shape
-    found = np.empty(2 * height * width, np.int32)
+    found = np.empty(4 * height * width, np.int32)
     n = 0
     for v in range(height):
         for u in range(width):
-            thing = mask[v, u] > 0
-            pixel = v * width + u
-            if v > 0 and (mask[v - 1, u] > 0) != thing:
-                found[n] = 4 * (pixel - width) + 1 if thing else 4 * pixel
-                n += 1
-            if u > 0 and (mask[v, u - 1] > 0) != thing:
-                found[n] = 4 * (pixel - 1) + 3 if thing else 4 * pixel + 2
-                n += 1
+            m, pixel = mask[v, u], v * width + u
+            for way in (0, 2):
+                a, b = (v - 1, u) if way == 0 else (v, u - 1)
+                if a < 0 or b < 0 or mask[a, b] == m:
+                    continue
+                if mask[a, b] > 0:
+                    found[n] = 4 * pixel + way
+                    n += 1
+                if m > 0:
+                    found[n] = 4 * (a * width + b) + way + 1
+                    n += 1
     return found[:n].copy()
 
 
@@ -62,14 +65,16 @@ def measure_bleed(
     slope  : surfaces are no steeper than this against the image plane; pixel_m: the width of a pixel at 1 m
     counts : (n_masks + 1, bins) int32: border pixels by reach [half pixels]; farther ones are not counted
 
-    From every background pixel at a border the look goes straight into the mask until depth jumps towards the camera by
-    more than noise and slope allow: there is the outline. Cameras lose as much depth on either side of a jump, so it
+    From every background pixel beside a mask the look goes straight into the mask until depth jumps towards the camera
+    by more than noise and slope allow: there is the outline. Cameras lose as much depth on either side of a jump, so it
     lies midway between the two pixels measured next to it.
     """
     height, width = mask.shape
     bins = counts.shape[1]
     for i in range(len(borders)):
         v, u = borders[i] // 4 // width, borders[i] // 4 % width
+        if mask[v, u] > 0:
+            continue
         dv, du = _step(borders[i] % 4)
         m = mask[v + dv, u + du]
         behind, at = np.float32(0.0), 0  # the depth measured last, and how many pixels from here
@@ -97,21 +102,30 @@ def measure_bleed(
 
 @njit(cache=True)
 def take_off(
-    mask: Array, borders: Array, depth: Array, bleed: Array, share: float, step_m: float, slope: float, pixel_m: float
-) -> int:
-    """Give the rims of masks to the background that they lie on, in place; returns how many pixels that were.
+    mask: Array,
+    doubtful: Array,
+    borders: Array,
+    depth: Array,
+    bleed: Array,
+    share: float,
+    step_m: float,
+    slope: float,
+    pixel_m: float,
+) -> None:
+    """Give the rims of masks to the background that they lie on, and doubt those beside other masks, in place.
 
-    mask    : (H, W) int32; a pixel taken off becomes what the nearest background is
-    borders : (n,) as found in it;  depth (H, W) float32 [m], 0 = not measured
-    bleed   : (n_masks + 1,) int64 [px]: how wide the rim of each mask is, at most 15
-    share   : of a mask's width that may be taken off one side
+    mask     : (H, W) int32; a pixel taken off becomes what the nearest background is
+    doubtful : (H, W) uint8 of zeros; 1 where either of two masks that touch may have bled over the other
+    borders  : (n,) as found in the masks;  depth (H, W) float32 [m], 0 = not measured
+    bleed    : (n_masks + 1,) int64 [px]: how wide the rim of each mask is, at most 15
+    share    : of a mask's width that may be taken off one side
 
-    Of the background pixels at a mask's border that were measured, one faces a pixel of the mask that lies straight
-    ahead or up to 45° aside. A pixel is of the rim when the nearest that faces it is no farther than the mask's bleed
-    and the surface goes on from there: depths differ by less than step_m + slope · d · z · pixel_m.
+    Of the measured pixels just outside a mask, one faces a pixel of the mask that lies straight ahead or up to 45°
+    aside. A pixel is of the rim when the nearest that faces it is no farther than the mask's bleed and the surface goes
+    on from there: depths differ by less than step_m + slope · d · z · pixel_m.
     """
     height, width = mask.shape
-    nearest = np.zeros((height, width), np.uint8)  # squared distance to the nearest background so far, 0 = none
+    nearest = np.zeros((height, width), np.uint8)  # squared distance to the nearest pixel outside so far, 0 = none
     source = np.empty((height, width), np.int32)
     rim = np.empty(height * width, np.int32)
     n_rim = 0
@@ -122,12 +136,12 @@ def take_off(
         r = bleed[m]
         if r == 0 or not depth[v, u] > 0.0:
             continue
-        # what lies aside is nearer to the next pixel of the border, if the border goes straight on there
+        # what lies aside is nearer to the next pixel outside, if the border goes straight on there
         left, right = 1, 1
         for side in (-1, 1):
             a, b = v + side * du, u + side * dv
             within = 0 <= a < height and 0 <= b < width
-            if within and mask[a, b] <= 0 and depth[a, b] > 0.0 and mask[a + dv, b + du] == m:
+            if within and mask[a, b] != m and depth[a, b] > 0.0 and mask[a + dv, b + du] == m:
                 left, right = (0, right) if side < 0 else (left, 0)
         for ahead in range(1, r + 1):
             for aside in range(-left * ahead, right * ahead + 1):
@@ -145,13 +159,15 @@ def take_off(
     for i in range(n_rim):
         v, u = rim[i] // width, rim[i] % width
         a, b = source[v, u] // width, source[v, u] % width
-        c, d = a + int(np.rint((v - a) / share)), b + int(np.rint((u - b) / share))
-        if 0 <= c < height and 0 <= d < width and mask[c, d] != mask[v, u]:
+        if not abs(depth[v, u] - depth[a, b]) < step_m + slope * np.sqrt(nearest[v, u]) * depth[a, b] * pixel_m:
             continue
-        if abs(depth[v, u] - depth[a, b]) < step_m + slope * np.sqrt(nearest[v, u]) * depth[a, b] * pixel_m:
+        if mask[a, b] > 0:
+            doubtful[v, u] = 1
+            continue
+        c, d = a + int(np.rint((v - a) / share)), b + int(np.rint((u - b) / share))
+        if c < 0 or c >= height or d < 0 or d >= width or mask[c, d] == mask[v, u]:
             rim[taken] = rim[i]
             taken += 1
     for i in range(taken):
         v, u = rim[i] // width, rim[i] % width
         mask[v, u] = mask[source[v, u] // width, source[v, u] % width]
-    return taken

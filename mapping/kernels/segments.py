@@ -311,6 +311,8 @@ def believe(
     depth: Array,
     distance: Array,
     bleed_px: float,
+    doubtful: Array,
+    doubt: float,
     confidence: Array,
 ) -> None:
     """Say what each pixel is and how far it is to be trusted, in place.
@@ -318,8 +320,8 @@ def believe(
     pieces     : (H, W) int32, renumbered by `number` (n_groups + 1,) int32
     labels     : (H, W) uint16, filled: where there is depth, of the background and of the masks of pieces, by
                  `class_of` (n_masks + 1,) uint16; 0 elsewhere
-    trust      : (H, W) float32, filled: full where `distance` (H, W) uint8 [px] is bleed_px, less at boundaries, times
-                 `confidence` (H, W) float32, size 0 to do without
+    trust      : (H, W) float32, filled: full where `distance` (H, W) uint8 [px] is bleed_px, less at boundaries; times
+                 `doubt` where `doubtful` (H, W) uint8; times `confidence` (H, W) float32, size 0 to do without
     """
     height, width = mask.shape
     per_px = np.float32(1.0 / bleed_px)
@@ -335,6 +337,7 @@ def believe(
             else:
                 label = np.uint16(-m)
             labels[v, u] = label if depth[v, u] > 0.0 else np.uint16(0)
-            trust[v, u] = min(np.float32(distance[v, u]) * per_px, np.float32(1.0))
+            sure = min(np.float32(distance[v, u]) * per_px, np.float32(1.0))
+            trust[v, u] = sure * np.float32(doubt) if doubtful[v, u] else sure
     if confidence.size:
         trust *= confidence

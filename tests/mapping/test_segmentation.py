@@ -131,15 +131,18 @@ def test_what_is_believed_of_each_pixel_is_as_said(
     distance = rng.integers(0, 17, mask.shape).astype(np.uint8)
     confidence = rng.random(mask.shape if confident else (0, 0)).astype(np.float32)
     labels, trust, renumbered = np.empty(mask.shape, np.uint16), np.empty(mask.shape, np.float32), pieces.copy()
+    doubtful = rng.integers(0, 2, mask.shape).astype(np.uint8)
     kernels.believe(
-        renumbered, labels, trust, number, class_of, mask, read_only(depth), distance, 8, read_only(confidence)
-    )
+        renumbered, labels, trust, number, class_of, mask, read_only(depth), distance, 8, doubtful, 0.3,
+        read_only(confidence),
+    )  # fmt: skip
     for p in np.ndindex(mask.shape):
         piece = number[pieces[p]]
         known = depth[p] > 0 and (mask[p] <= 0 or piece > 0)
         assert renumbered[p] == piece
         assert labels[p] == ((class_of[mask[p]] if mask[p] > 0 else -mask[p]) if known else 0)
-        assert np.isclose(trust[p], min(distance[p] / 8, 1.0) * (confidence[p] if confident else 1.0))
+        sure = min(distance[p] / 8, 1.0) * (0.3 if doubtful[p] else 1.0)
+        assert np.isclose(trust[p], sure * (confidence[p] if confident else 1.0))
 
 
 def image(depth: np.ndarray, labels: np.ndarray, instances: np.ndarray | None = None, **fields: object) -> RgbdImage:
