@@ -22,7 +22,7 @@ from mapping.observations import RgbdImage, Scan
 from mapping.occupancy import OccupancyMap
 from mapping.planes import PlaneChange, PlaneMap
 from mapping.registration import refine_pose
-from mapping.segmentation import segment
+from mapping.segmentation import Bleed, segment
 from mapping.semantics import SemanticMap
 from mapping.tsdf import TsdfMap
 from mapping.view import DepthView
@@ -87,6 +87,7 @@ class LayeredMap:
         self.planes = PlaneMap(voxel_size_m)
         self.esdf = self._distance_field()
         self._images = 0
+        self._bleed = Bleed()
 
     @property
     def layers(self) -> dict[str, MapLayer]:
@@ -160,7 +161,7 @@ class LayeredMap:
         if image.labels is None:
             return InstanceChange(frozenset(), {})
         near = self._near(depth_m)
-        seen = segment(image, near, things)
+        seen = segment(image, near, things, self._bleed)
         depth_m = np.empty_like(near)
         smooth_depth(near, *DEPTH_NOISE, depth_m)
         self.semantics.integrate_image(depth_m, seen.labels, seen.trust, image.intrinsics, T_map_camera)
