@@ -25,7 +25,7 @@ from mapping.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyMap
 from mapping.semantics import SemanticMap
 from mapping.tiles import as_columns
 
-__all__ = ["CostGrid", "CostMap", "CostTable", "semantic_cost"]
+__all__ = ["CostGrid", "CostMap", "CostTable", "cost_cloud", "semantic_cost"]
 
 Array: TypeAlias = NDArray[Any]
 Rule: TypeAlias = Literal["max", "mean"]
@@ -177,6 +177,15 @@ def _look(
     cost[not_free[bare]] = table.of(nearest)
     solid[at] = True
     return cost, solid
+
+
+def cost_cloud(
+    labels: SemanticMap, table: CostTable, occupancy: OccupancyMap, *, reach_m: float | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """All surfaces with what they cost: centres (N, 3) [m] of the occupied voxels and their costs (N,), as
+    `semantic_cost` gives them."""
+    centres = occupancy.occupied_centres()
+    return centres, semantic_cost(centres, labels, table, occupancy, reach_m=reach_m)
 
 
 @dataclass(frozen=True, eq=False)

@@ -375,7 +375,8 @@ def export(
     """Write the graph or the map as a file of another program.
 
     ply is the mesh, or with --layer semantics a cloud of labelled points; mesh and ot (OctoMap) are in the colours of
-    classes; cost is a grid for navigation, a PNG beside a YAML file as map_server reads them.
+    classes; cost is a grid for navigation, a PNG beside a YAML file as map_server reads them, or, by the name of the
+    file, arrays (.npz) or all surfaces in space (.ply).
     """
     from scenegraph import exporting
 

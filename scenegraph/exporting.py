@@ -179,23 +179,32 @@ def export(source: Source, name: str, path: str | Path, *, layer: str | None = N
 def export_cost(
     source: Source, costs: str | Path, path: str | Path, *, band_m: tuple[float, float]
 ) -> tuple[Path, tuple[str, ...]]:
-    """Write what it costs to be where, on a grid, and return the path of the file to open, and which classes of the
-    table the map does not know.
+    """Write what it costs to be where, and return the path of the file to open, and which classes of the table the map
+    does not know.
 
-    costs   JSON file, see `CostTable.from_document`;  path  `.npz`, or the name of a PNG and a YAML file
-    band_m  heights [m] that matter
+    costs   JSON file, see `CostTable.from_document`
+    path    `.ply`: all surfaces in space, with a property `cost`; else a grid seen from above: `.npz`, or the name of a
+            PNG and a YAML file, see `CostGrid.write`
+    band_m  heights [m] that matter to the grid
 
     Raises `InvalidParameter` where the table is bad, `ExportError` when a file cannot be written.
     """
-    from mapping.cost import CostMap, CostTable
+    from mapping.cost import CostMap, CostTable, cost_cloud
+    from mapping.ply import vectors, write_ply
 
+    path = Path(path)
     classes = LabelSpace(classes=dict(enumerate(source.classes, start=1)))
     table = CostTable.read(costs, classes, allow_absent=True)
-    cost = CostMap(source.layer("semantics"), table, band_m=band_m, occupancy=source.layer("occupancy"))
-    cost.update()
-    grid, written = cost.grid(), Path(path)
-    _writing(written, lambda: grid.write(written))
-    return written if written.suffix == ".npz" else written.with_suffix(".yaml"), table.absent
+    semantics, occupancy = source.layer("semantics"), source.layer("occupancy")
+    if path.suffix == ".ply":
+        centres, cost = cost_cloud(semantics, table, occupancy)
+        columns = [*vectors("xyz", centres.astype(np.float32)), ("cost", cost.astype(np.float32))]
+        _writing(path, lambda: write_ply(path, columns))
+        return path, table.absent
+    grid = CostMap(semantics, table, band_m=band_m, occupancy=occupancy)
+    grid.update()
+    _writing(path, lambda: grid.grid().write(path))
+    return path if path.suffix == ".npz" else path.with_suffix(".yaml"), table.absent
 
 
 def _layer_name(name: str | None) -> str:

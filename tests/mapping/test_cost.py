@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from mapping.cost import CostGrid, CostMap, CostTable, semantic_cost
+from mapping.cost import CostGrid, CostMap, CostTable, cost_cloud, semantic_cost
 from mapping.errors import InvalidParameter
 from mapping.observations import LabelSpace
 from mapping.occupancy import FREE, OCCUPIED, OccupancyMap
@@ -123,6 +123,14 @@ def test_layers_with_other_voxels_are_followed_too() -> None:
     occupancy.assign([[1.55, -0.15, z] for z in (0.05, 0.15, 0.25, 0.35, 0.45)], -30)
     cost.update()
     assert cost.query([[1.55, -0.15]])[0] == TABLE.free
+
+
+def test_a_cloud_of_costs_has_all_surfaces() -> None:
+    semantics, occupancy = world(11)
+    centres, cost = cost_cloud(semantics, TABLE, occupancy)
+    assert np.array_equal(centres, occupancy.occupied_centres())
+    assert np.array_equal(cost, semantic_cost(centres, semantics, TABLE, occupancy))
+    assert {0.3, 1.0, np.inf} <= set(cost.tolist())
 
 
 def test_unknown_is_not_free() -> None:

@@ -208,6 +208,16 @@ def test_a_labelled_mesh_has_the_colours_of_its_classes_and_is_read_back(table, 
     assert np.array_equal(np.stack([plain[c] for c in ("red", "green", "blue")], axis=1), mesh.colors)
 
 
+def test_a_mesh_takes_labels_from_anything_that_can_be_asked(table) -> None:
+    class North:
+        def query(self, p_map):
+            north = np.asarray(p_map)[:, 1] > 0.0
+            return north.astype(np.uint16), north.astype(np.float32)
+
+    mesh = table[0].tsdf.mesh(labels_from=North())
+    assert np.array_equal(mesh.labels > 0, mesh.vertices[:, 1] > 0.0)
+
+
 # -- octrees ---------------------------------------------------------------------------------------------------------
 
 

@@ -111,6 +111,8 @@ def test_costs_are_a_grid_and_names_that_the_map_does_not_know_are_told(sources,
     assert np.array_equal(*grids, equal_nan=True)
     assert {0.0, 4.0, np.inf} <= set(grids[0][~np.isnan(grids[0])].tolist())
     assert np.isnan(grids[0]).any()
+    path, _ = export_cost(sources[0], tmp_path / "costs.json", tmp_path / "cost.ply", band_m=(-0.1, 1.0))
+    assert {0.0, 4.0, np.inf} <= set(naive.read_ply(path)["cost"].tolist())
 
 
 @pytest.mark.parametrize(
@@ -182,12 +184,10 @@ def test_a_box_of_a_layer_is_what_the_layer_says_there_and_nothing_elsewhere(wor
     part = KINDS[name].from_state(exports.crop(layer.state(), layer.block_size_m, BOX))
     inside = np.random.default_rng(0).uniform(BOX[0] + 0.1, BOX[1] - 0.1, (300, 3))
     outside = inside + np.array([0.0, 1.2, 0.0])
-    values, others = (found[0] if name == "semantics" else found for found in (part.query(inside), layer.query(inside)))
-    if name == "semantics":
-        others = layer.belief(inside).classes[:, 0]
-    assert np.array_equal(values, others, equal_nan=name in ("occupancy", "tsdf"))
-    gone = part.query(outside)[0] if name == "semantics" else part.query(outside)
-    assert (np.isnan(gone) if name in ("occupancy", "tsdf") else gone == 0).all()
+    ask = (lambda of, at: of.belief(at).classes) if name == "semantics" else (lambda of, at: of.query(at))
+    distances = name in ("occupancy", "tsdf")
+    assert np.array_equal(ask(part, inside), ask(layer, inside), equal_nan=distances)
+    assert (np.isnan(ask(part, outside)) if distances else ask(part, outside) == 0).all()
     assert 0 < len(part.block_ijk) < len(layer.block_ijk)
 
 
