@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from mapping.association import Overlaps, assign, covered, doubted
 from mapping.errors import MappingError
 from mapping.geometry import SE3, CameraIntrinsics
-from mapping.grid import ijk_to_centre
+from mapping.grid import ijk_to_centre, read_only
 from mapping.kernels import evidence
 from mapping.kernels import instances as kernels
 from mapping.kernels.instances import BACKGROUND
@@ -55,7 +55,7 @@ LEAST_SHARE = 0.5
 COUNTERS = 2
 """Instances that a voxel counts votes for, one by one."""
 LOOK_STEP = 2
-"""Every so many-th row and column of an image is looked at to find overlaps."""
+"""Every so many-th row and column of an image is looked at: at 5 m still more than one pixel a voxel of 2.5 cm."""
 
 
 @dataclass
@@ -124,40 +124,35 @@ class InstanceMap(PackedLayer):
         self, seen: Segmentation, depth_m: Array, intrinsics: CameraIntrinsics, T_map_camera: SE3, stamp_ns: int
     ) -> InstanceChange:
         """Join the pieces of one image to lasting instances and count their votes."""
-        camera, pose = camera_row(intrinsics), pose_rows(T_map_camera)
-        overlaps = self._overlaps(seen, depth_m, camera, pose)
+        store = self.store
+        cells, owners, pixels, votes, offsets, blocks, bare = kernels.trace(
+            store.table, store.masks, store.n_blocks, seen.pieces, seen.labels,
+            np.ascontiguousarray(seen.trust, np.float32), depth_m, len(seen), DEPTH_NOISE, RIM_POWER,
+            camera_row(intrinsics), pose_rows(T_map_camera), self.voxel_size_m, LOOK_STEP,
+        )  # fmt: skip
+        store.allocate(blocks)
+        store.add(bare)
+        overlaps = self._overlaps(seen, cells, owners, pixels, offsets, T_map_camera)
         ids = assign(overlaps)
         together = self._compare(overlaps, ids)
         self._found(ids, seen.pixels)
         for piece, instance_id in enumerate(ids.tolist()):
             if instance_id:
                 self._witness(instance_id, int(seen.label[piece]), int(seen.pixels[piece]), stamp_ns)
-        numbers = np.array([0, *(self.instances[i].number if i else 0 for i in ids.tolist())], np.uint16)
-        choices, weights = np.empty(depth_m.shape, np.uint16), np.empty(depth_m.shape, np.float32)
-        kernels.weigh(
-            seen.pieces, seen.labels, numbers, np.ascontiguousarray(seen.trust, np.float32), depth_m, DEPTH_NOISE,
-            self.voxel_size_m, RIM_POWER, choices, weights,
-        )  # fmt: skip
-        touched = self._vote(choices, weights, depth_m, camera, pose)
+        numbers = [BACKGROUND, *(self.instances[i].number if i else 0 for i in ids.tolist()), 0]
+        touched = self._vote(cells, np.array(numbers, np.uint16)[owners], votes, offsets)  # owner −1 is the last
         merged = self._merge(together)
         return InstanceChange(frozenset(touched | set(merged.values()) | self._give_up()), merged)
 
-    def _vote(self, choices: Array, weights: Array, depth_m: Array, camera: Array, pose: Array) -> set[int]:
-        """Count weighted votes of pixels for numbers (H, W); returns the instances that got or lost voxels."""
+    def _vote(self, cells: Array, choices: Array, votes: Array, offsets: Array) -> set[int]:
+        """Count votes of runs of pixels for numbers (K,); returns the instances that got or lost voxels."""
         store = self.store
-        cells, votes = np.empty(depth_m.shape, np.int32), np.empty(depth_m.shape, np.uint16)
-        blocks, bare = evidence.cells_of_image(
-            store.table, store.masks, store.n_blocks, depth_m, choices, weights, camera, pose, self.voxel_size_m, cells,
-            votes,
-        )  # fmt: skip
-        store.allocate(blocks)
-        store.add(bare)
         self.revision += 1
         lost = np.zeros(BACKGROUND + 1, np.bool_)
         pairs = kernels.vote(
             store.masks, store.first, store.fields["evidence"], store.fields["mean"], self._sizes, lost,
-            store.changed_at, self.revision, cells, votes, choices, depth_m, camera, pose, self.voxel_size_m,
-            int(self.memory * evidence.UNIT), int(MEAN_MEMORY * evidence.UNIT),
+            store.changed_at, self.revision, cells, choices, votes, offsets, int(self.memory * evidence.UNIT),
+            int(MEAN_MEMORY * evidence.UNIT),
         )  # fmt: skip
         packed = np.unique(pairs[:, 0] << 32 | pairs[:, 1])
         numbers, first = np.unique(packed >> 32, return_index=True)
@@ -171,11 +166,14 @@ class InstanceMap(PackedLayer):
         return set(self._id_of[np.flatnonzero(lost[:BACKGROUND])].tolist()) - {0}
 
     # -- association --------------------------------------------------------------------------------------
-    def _overlaps(self, seen: Segmentation, depth_m: Array, camera: Array, pose: Array) -> Overlaps:
+    def _overlaps(
+        self, seen: Segmentation, cells: Array, owners: Array, pixels: Array, offsets: Array, T_map_camera: SE3
+    ) -> Overlaps:
         store = self.store
+        eye = np.asarray(T_map_camera.translation, np.float64) / self.voxel_size_m
         piece, number, hits, looked = kernels.count_overlaps(
-            store.table, store.masks, store.first, store.fields["evidence"], depth_m, seen.pieces, camera, pose,
-            self.voxel_size_m, LOOK_STEP, len(seen),
+            store.table, store.masks, store.first, store.fields["evidence"], read_only(self.block_ijk), cells, owners,
+            pixels, offsets, eye, len(seen),
         )  # fmt: skip
         visible = np.bincount(number, hits, minlength=BACKGROUND + 1)
         real = (number != BACKGROUND) & (piece > 0)

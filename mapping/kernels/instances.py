@@ -13,8 +13,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.kernels.evidence import UNIT, give
-from mapping.kernels.hashing import lookup
-from mapping.kernels.packed import row_of
+from mapping.kernels.hashing import find_or_insert, lookup
+from mapping.kernels.packed import has_record, row_of
 
 Array: TypeAlias = NDArray[Any]
 Int: TypeAlias = Any
@@ -50,44 +50,194 @@ def wins(records: Array, row: Int, column: Int, least: Int, share: Float) -> boo
 
 
 @njit(cache=True)
-def weigh(
+def trace(
+    table: Array,
+    masks: Array,
+    n_blocks: Int,
     pieces: Array,
     labels: Array,
-    numbers: Array,
     trust: Array,
     depth: Array,
+    n_pieces: Int,
     depth_noise: Float,
-    voxel: Float,
     power: Int,
-    choices: Array,
-    weights: Array,
-) -> None:
-    """The number that each pixel votes for, and what a full view of it counts, in place.
+    camera: Array,
+    pose: Array,
+    voxel: Float,
+    step: Int,
+) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
+    """Runs of pixels along the rows of an image that lie in one voxel and belong to one piece.
 
-    pieces (H, W) int32: 1 … n, 0 = none; labels (H, W) uint16, 0 = none; numbers (n + 1,) uint16: of each piece, 0 = no
-    vote; trust (H, W) float32 in 0 … 1; depth (H, W) float32 [m] with a standard deviation of depth_noise · depth²
-    choices (H, W) uint16: BACKGROUND where there is a label and no piece; weights (H, W) float32
+    table, masks, n_blocks: of the store
+    pieces (H, W) int32: 1 … n_pieces, 0 = none; labels (H, W) uint16, 0 = none; trust (H, W) float32 in 0 … 1
+    depth (H, W) float32 [m] with a standard deviation of depth_noise · depth²
+    camera (4,) fx, fy, cx, cy; pose (3, 4) camera in map; voxel: edge [m]; step: every n-th row and column is looked at
 
-    A pixel counts most(piece) · (trust / most(piece)) ^ power / (1 + (2σ / voxel)²), with the most trust that any pixel
-    of its piece has (1 for background), and σ the standard deviation of its depth.
+    A pixel counts the share of a voxel's face that it stands for, (step · z/f)² / v², times
+    most(piece) · (trust / most(piece)) ^ power / (1 + (2σ / voxel)²), with the most trust that any pixel of its piece
+    has (1 without a piece), and σ the standard deviation of its depth.
+
+    Returns of each run: cells (K,) int64; owners (K,) int32: the piece, 0 for a label without a piece, −1 for no label;
+    pixels (K,) int64 looked at; votes (K,) int64 [1/UNIT], rounded up and down in turn; offsets (K, 3) float32 of their
+    mean point from the voxel's centre [voxels]. Then blocks (m, 3) int32 that the table does not have, numbered on from
+    n_blocks, and the cells (k,) of runs with votes that have no record yet. Runs without a label in unknown blocks
+    are left out.
     """
     height, width = depth.shape
-    most = np.zeros(len(numbers), np.float32)
-    for v in range(height):
-        for u in range(width):
+    per_voxel = 1.0 / voxel
+    face = UNIT * step * step * per_voxel * per_voxel / (camera[0] * camera[1])
+    spread = 2.0 * depth_noise * per_voxel
+    most = np.zeros(n_pieces + 1, np.float32)
+    for v in range(0, height, step):
+        for u in range(0, width, step):
             most[pieces[v, u]] = max(most[pieces[v, u]], trust[v, u])
     most[0] = 1.0
-    spread = 2.0 * depth_noise / voxel
-    for v in range(height):
-        for u in range(width):
-            piece = pieces[v, u]
-            choice = np.int64(numbers[piece]) if piece else BACKGROUND if labels[v, u] else 0
-            choices[v, u] = choice
-            weights[v, u] = 0.0
-            if choice and trust[v, u] > 0.0:
+    room = ((height + step - 1) // step) * ((width + step - 1) // step)
+    cells, owners, pixels = np.empty(room, np.int64), np.empty(room, np.int32), np.empty(room, np.int64)
+    votes, offsets, bare = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int64)
+    found, fresh = np.empty((256, 3), np.int32), np.full((1024, 2), -1, np.int64)
+    n_bare = n_found = n = 0
+    bi: Int = 1 << 30
+    bj: Int = 1 << 30
+    bk: Int = 1 << 30
+    slot: Int = np.int64(-1)
+    for v in range(0, height, step):
+        y_z = (v - camera[3]) / camera[1]
+        at: Int = np.int64(-1)  # cell, owner and sums of the run that is going on
+        whose: Int = np.int64(-1)
+        count: Int = np.int64(0)
+        total = weight = sx = sy = sz = fx = fy = fz = 0.0
+        for u in range(0, width + step, step):
+            cell: Int = np.int64(-1)
+            owner: Int = np.int64(-1)
+            if u < width and depth[v, u] > 0.0:
                 z = np.float64(depth[v, u])
-                sigma = spread * z * z
-                weights[v, u] = most[piece] * (trust[v, u] / most[piece]) ** power / (1.0 + sigma * sigma)
+                owner = np.int64(pieces[v, u])
+                if owner == 0 and labels[v, u] == 0:
+                    owner = np.int64(-1)
+                x, y = (u - camera[2]) / camera[0] * z, y_z * z
+                px = (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) * per_voxel
+                py = (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) * per_voxel
+                pz = (pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]) * per_voxel
+                i, j, k = np.int64(np.floor(px)), np.int64(np.floor(py)), np.int64(np.floor(pz))
+                fx, fy, fz = px - i - 0.5, py - j - 0.5, pz - k - 0.5
+                if i >> 3 != bi or j >> 3 != bj or k >> 3 != bk:
+                    bi, bj, bk = i >> 3, j >> 3, k >> 3
+                    slot = np.int64(lookup(table, bi, bj, bk))
+                if slot < 0 and owner >= 0:
+                    if 2 * n_found > len(fresh):
+                        fresh = np.full((4 * len(fresh), 2), -1, np.int64)
+                        for m in range(n_found):
+                            find_or_insert(fresh, found[m, 0], found[m, 1], found[m, 2], n_blocks + m)
+                    slot = np.int64(find_or_insert(fresh, bi, bj, bk, n_blocks + n_found))
+                    if slot == n_blocks + n_found:
+                        if n_found == len(found):
+                            found = np.concatenate((found, np.empty_like(found)))
+                        found[n_found, 0], found[n_found, 1], found[n_found, 2] = bi, bj, bk
+                        n_found += 1
+                if slot >= 0:
+                    cell = slot << 9 | (i & 7) << 6 | (j & 7) << 3 | (k & 7)
+                weight = 0.0
+                if owner >= 0 and trust[v, u] > 0.0:
+                    sigma = spread * z * z
+                    share = np.float64(trust[v, u]) / most[owner]
+                    weight = face * z * z * most[owner] / (1.0 + sigma * sigma)
+                    for _ in range(power):
+                        weight *= share
+            if cell != at or owner != whose:
+                if at >= 0:
+                    cells[n], owners[n], pixels[n] = at, whose, count
+                    votes[n] = np.int64(total + (0.7548776662 * u + 0.5698402910 * v) % 1.0)
+                    share = 1.0 / total if total > 0.0 else 0.0
+                    offsets[n, 0], offsets[n, 1], offsets[n, 2] = sx * share, sy * share, sz * share
+                    if votes[n] > 0 and (at >> 9 >= n_blocks or not has_record(masks, at)):
+                        bare[n_bare] = at
+                        n_bare += 1
+                    n += 1
+                at, whose, count = cell, owner, 0
+                total = sx = sy = sz = 0.0
+            count += 1
+            total += weight
+            sx, sy, sz = sx + weight * fx, sy + weight * fy, sz + weight * fz
+    return cells[:n], owners[:n], pixels[:n], votes[:n], offsets[:n], found[:n_found].copy(), bare[:n_bare]
+
+
+@njit(cache=True)
+def count_overlaps(
+    table: Array,
+    masks: Array,
+    first: Array,
+    records: Array,
+    block_ijk: Array,
+    cells: Array,
+    owners: Array,
+    pixels: Array,
+    offsets: Array,
+    eye: Array,
+    n_pieces: Int,
+) -> tuple[Array, Array, Array, Array]:
+    """How many pixels of each piece lie on voxels that which instance leads.
+
+    block_ijk (B, 3) int32; cells, owners, pixels, offsets: see `trace`; eye (3,): the camera [voxels]
+    Looked up in the voxel, then, for pieces, beside it: before and behind on the ray, above and below. Returns piece
+    (K,) with 0 for none, number (K,), hits (K,) of the pairs that occur, and the pixels looked at per piece
+    (n_pieces + 1,).
+    """
+    rows = 8192
+    key = np.full(rows, -1, np.int64)
+    hits = np.zeros(rows, np.int64)
+    looked = np.zeros(n_pieces + 1, np.int64)
+    k = records.shape[1] // 2
+    n = 0
+    for m in range(cells.shape[0]):
+        piece = max(np.int64(owners[m]), 0)
+        looked[piece] += pixels[m]
+        cell, slot = cells[m], cells[m] >> 9
+        px = (block_ijk[slot, 0] << 3) + ((cell >> 6) & 7) + 0.5 + offsets[m, 0]
+        py = (block_ijk[slot, 1] << 3) + ((cell >> 3) & 7) + 0.5 + offsets[m, 1]
+        pz = (block_ijk[slot, 2] << 3) + (cell & 7) + 0.5 + offsets[m, 2]
+        dx, dy, dz = px - eye[0], py - eye[1], pz - eye[2]
+        per_length = 1.0 / max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+        for attempt in range(7 if piece else 1):
+            t = up = 0.0
+            if attempt == 1:
+                t = per_length
+            elif attempt == 2:
+                t = -per_length
+            elif attempt == 3:
+                up = -1.0
+            elif attempt == 4:
+                up = 1.0
+            elif attempt == 5:
+                t = 2.0 * per_length
+            elif attempt == 6:
+                t = -2.0 * per_length
+            if attempt:
+                x, y, z = np.floor(px + t * dx), np.floor(py + t * dy), np.floor(pz + t * dz + up)
+                i, j, l = np.int64(x), np.int64(y), np.int64(z)
+                slot = np.int64(lookup(table, i >> 3, j >> 3, l >> 3))
+                cell = slot << 9 | (i & 7) << 6 | (j & 7) << 3 | (l & 7)
+            if slot < 0:
+                continue
+            row = row_of(masks, first, cell)
+            if row < 0:
+                continue
+            best = leader(records, row)
+            if records[row, k + best] < LEAST_EVIDENCE:
+                continue
+            pair = piece << 32 | np.int64(records[row, best])
+            at = (pair * 2654435761) & (rows - 1)
+            while key[at] >= 0 and key[at] != pair:
+                at = (at + 1) & (rows - 1)
+            if key[at] < 0:
+                if 2 * n > rows:
+                    break
+                key[at] = pair
+                n += 1
+            hits[at] += pixels[m]
+            break
+    used = np.nonzero(key >= 0)[0]
+    return key[used] >> 32, key[used] & 0xFFFFFFFF, hits[used], looked
 
 
 @njit(cache=True)
@@ -101,154 +251,57 @@ def vote(
     changed_at: Array,
     revision: Int,
     cells: Array,
-    votes: Array,
     choices: Array,
-    depth: Array,
-    camera: Array,
-    pose: Array,
-    voxel: Float,
+    votes: Array,
+    offsets: Array,
     limit: Int,
     mean_limit: Int,
 ) -> Array:
-    """Count the votes of an image's pixels, in place.
+    """Count the votes of an image's runs of pixels, in place.
 
     records (R, 2k + 1) uint16, means (R, 3) int16: of the voxels
     sizes   (65536,) int64: in how many voxels each number leads; lost (65536,) bool: set where it loses one
     changed_at is set to `revision` for each block with votes
-    cells, votes (H, W): see `evidence.cells_of_image`; choices (H, W) uint16; depth (H, W) float32 [m]
-    camera  (4,) fx, fy, cx, cy; pose (3, 4) camera in map; limit: evidence at which a record is halved; mean_limit:
-            evidence over which the mean is taken [1/UNIT]
+    cells, votes, offsets: see `trace`; choices (K,) uint16: the number that each run votes for, 0 = none
+    limit: evidence at which a record is halved; mean_limit: evidence over which the mean is taken [1/UNIT]
 
     Returns number and slot (K, 2) int64 of the blocks in which instances got votes; repeats may remain.
     """
-    height, width = depth.shape
-    per_voxel = 1.0 / voxel
     k = records.shape[1] // 2
     latest = np.full(65536, -1, np.int64)
     pairs = np.empty((4096, 2), np.int64)
     n = 0
-    for v in range(height):
-        y_z = (v - camera[3]) / camera[1]
-        for u in range(width):
-            cell = np.int64(cells[v, u])
-            if cell < 0:
-                continue
-            row = row_of(masks, first, cell)
-            if row < 0:
-                continue
-            choice, count = choices[v, u], np.int64(votes[v, u])
-            held: Int = np.int64(0)
-            for c in range(k, 2 * k + 1):
-                held += records[row, c]
-            before = leader(records, row)
-            was = records[row, before] if records[row, k + before] > 0 else 0
-            give(records, row, choice, count, limit)
-            after = leader(records, row)
-            now = records[row, after]
-            if now != was:
-                sizes[was] -= 1
-                sizes[now] += 1
-                lost[was] = True
-            z = np.float64(depth[v, u])
-            x, y = (u - camera[2]) / camera[0] * z, y_z * z
-            px = (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) * per_voxel
-            py = (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) * per_voxel
-            pz = (pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]) * per_voxel
-            gain = count / (min(held, mean_limit) + count)
-            ox, oy, oz = means[row, 0], means[row, 1], means[row, 2]
-            means[row, 0] = np.int16(np.rint(ox + gain * ((px - np.floor(px) - 0.5) * MEAN_UNIT - ox)))
-            means[row, 1] = np.int16(np.rint(oy + gain * ((py - np.floor(py) - 0.5) * MEAN_UNIT - oy)))
-            means[row, 2] = np.int16(np.rint(oz + gain * ((pz - np.floor(pz) - 0.5) * MEAN_UNIT - oz)))
-            slot = cell >> 9
-            changed_at[slot] = revision
-            if choice != BACKGROUND and latest[choice] != slot:
-                latest[choice] = slot
-                if n == len(pairs):
-                    pairs = np.concatenate((pairs, np.empty_like(pairs)))
-                pairs[n, 0], pairs[n, 1] = choice, slot
-                n += 1
+    for m in range(cells.shape[0]):
+        choice, count = choices[m], min(votes[m], limit)
+        if choice == 0 or count <= 0:
+            continue
+        row = row_of(masks, first, cells[m])
+        if row < 0:
+            continue
+        held: Int = np.int64(0)
+        for c in range(k, 2 * k + 1):
+            held += records[row, c]
+        before = leader(records, row)
+        was = records[row, before] if records[row, k + before] > 0 else 0
+        give(records, row, choice, count, limit)
+        now = records[row, leader(records, row)]
+        if now != was:
+            sizes[was] -= 1
+            sizes[now] += 1
+            lost[was] = True
+        gain = count / (min(held, mean_limit) + count)
+        for axis in range(3):
+            mean = np.float64(means[row, axis])
+            means[row, axis] = np.int16(np.rint(mean + gain * (offsets[m, axis] * MEAN_UNIT - mean)))
+        slot = cells[m] >> 9
+        changed_at[slot] = revision
+        if choice != BACKGROUND and latest[choice] != slot:
+            latest[choice] = slot
+            if n == len(pairs):
+                pairs = np.concatenate((pairs, np.empty_like(pairs)))
+            pairs[n, 0], pairs[n, 1] = choice, slot
+            n += 1
     return pairs[:n]
-
-
-@njit(cache=True)
-def count_overlaps(
-    table: Array,
-    masks: Array,
-    first: Array,
-    records: Array,
-    depth: Array,
-    pieces: Array,
-    camera: Array,
-    pose: Array,
-    voxel: Float,
-    step: Int,
-    n_pieces: Int,
-) -> tuple[Array, Array, Array, Array]:
-    """How many pixels of each piece lie on voxels that which instance leads.
-
-    pieces (H, W) int32: 1 … n_pieces, 0 = none. Looked up at the point, then, for pieces, beside it: before and behind
-    on the ray, above and below. Returns piece (K,) with 0 for none, number (K,), hits (K,) of the pairs that occur, and
-    the pixels looked at per piece (n_pieces + 1,).
-    """
-    height, width = depth.shape
-    rows = 8192
-    key = np.full(rows, -1, np.int64)
-    hits = np.zeros(rows, np.int64)
-    looked = np.zeros(n_pieces + 1, np.int64)
-    per_voxel = 1.0 / voxel
-    k = records.shape[1] // 2
-    n = 0
-    for v in range(0, height, step):
-        for u in range(0, width, step):
-            z = np.float64(depth[v, u])
-            if not z > 0.0:
-                continue
-            piece = pieces[v, u]
-            looked[piece] += 1
-            x, y = (u - camera[2]) / camera[0] * z, (v - camera[3]) / camera[1] * z
-            dx = (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z) * per_voxel
-            dy = (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z) * per_voxel
-            dz = (pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z) * per_voxel
-            for attempt in range(7 if piece else 1):
-                t = 1.0
-                up = 0.0
-                if attempt == 1:
-                    t = 1.0 + voxel / z
-                elif attempt == 2:
-                    t = 1.0 - voxel / z
-                elif attempt == 3:
-                    up = -1.0
-                elif attempt == 4:
-                    up = 1.0
-                elif attempt == 5:
-                    t = 1.0 + 2.0 * voxel / z
-                elif attempt == 6:
-                    t = 1.0 - 2.0 * voxel / z
-                i = np.int64(np.floor(t * dx + pose[0, 3] * per_voxel))
-                j = np.int64(np.floor(t * dy + pose[1, 3] * per_voxel))
-                l = np.int64(np.floor(t * dz + pose[2, 3] * per_voxel + up))
-                slot = np.int64(lookup(table, i >> 3, j >> 3, l >> 3))
-                if slot < 0:
-                    continue
-                row = row_of(masks, first, slot << 9 | (i & 7) << 6 | (j & 7) << 3 | (l & 7))
-                if row < 0:
-                    continue
-                best = leader(records, row)
-                if records[row, k + best] < LEAST_EVIDENCE:
-                    continue
-                pair = np.int64(piece) << 32 | np.int64(records[row, best])
-                at = (pair * 2654435761) & (rows - 1)
-                while key[at] >= 0 and key[at] != pair:
-                    at = (at + 1) & (rows - 1)
-                if key[at] < 0:
-                    if 2 * n > rows:
-                        break
-                    key[at] = pair
-                    n += 1
-                hits[at] += 1
-                break
-    used = np.nonzero(key >= 0)[0]
-    return key[used] >> 32, key[used] & 0xFFFFFFFF, hits[used], looked
 
 
 @njit(cache=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapping.geometry import SE3, CameraIntrinsics
+from mapping.grid import read_only
 from mapping.kernels import evidence
 from mapping.kernels import instances as kernels
 from mapping.kernels.instances import BACKGROUND, MEAN_UNIT
@@ -20,6 +22,7 @@ from tests.naive_instances import Ballots, weight
 CAMERA = CameraIntrinsics(fx=11.0, fy=12.0, cx=5.3, cy=4.1, width=12, height=9)
 SHAPE = (CAMERA.height, CAMERA.width)
 VOXEL = 0.13
+NOISE, POWER = 0.0019, 3
 CLASS_OF = {1: 7, 2: 7, 3: 5}
 
 seeds = st.integers(0, 10**6)
@@ -44,26 +47,33 @@ class Voting:
         pose = SE3.exp(rng.uniform(-0.3, 0.3, 6))
         self.rows = pose_rows(pose)
         self.depth = np.where(rng.random(SHAPE) < 0.2, 0.0, rng.uniform(0.6, 1.4, SHAPE)).astype(np.float32)
-        chosen = np.where(rng.random(SHAPE) < 0.2, 0, rng.choice(self.numbers, SHAPE))
-        self.choices = np.where(self.depth > 0, chosen, 0).astype(np.uint16)
-        self.cells, self.votes = np.empty(SHAPE, np.int32), np.empty(SHAPE, np.uint16)
-        blocks, bare = evidence.cells_of_image(
-            store.table, store.masks, store.n_blocks, self.depth, self.choices, rng.random(SHAPE).astype(np.float32),
-            self.camera, self.rows, VOXEL, self.cells, self.votes,
+        self.pieces = np.repeat(rng.integers(0, 3, (SHAPE[0], 4)), 3, axis=1).astype(np.int32)
+        self.labels = np.where((self.pieces == 0) & (rng.random(SHAPE) < 0.3), 0, 7).astype(np.uint16)
+        self.trust = np.where(rng.random(SHAPE) < 0.1, 0.0, rng.random(SHAPE)).astype(np.float32)
+        self.eye = pose.translation / VOXEL
+        traced = kernels.trace(
+            store.table, store.masks, store.n_blocks, self.pieces, self.labels, self.trust, self.depth, 2, NOISE, POWER,
+            self.camera, self.rows, VOXEL, 1,
         )  # fmt: skip
+        self.cells, self.owners, self.pixels, self.votes, self.offsets, blocks, bare = traced
         store.allocate(blocks)
         store.add(bare)
+        self.choices = np.append(np.append(rng.choice(self.numbers), self.numbers), 0).astype(np.uint16)[self.owners]
         self.pairs = kernels.vote(
             store.masks, store.first, store.fields["evidence"], store.fields["mean"], self.sizes, self.lost,
-            store.changed_at, revision, self.cells, self.votes, self.choices, self.depth, self.camera, self.rows,
-            VOXEL, 60000, 60000,
+            store.changed_at, revision, self.cells, self.choices, self.votes, self.offsets, 60000, 60000,
         )  # fmt: skip
+        self.counted = (self.votes > 0) & (self.choices > 0)
+        for m in np.flatnonzero(self.counted).tolist():
+            self.twin.cast(self.point(m), int(self.choices[m]), int(self.votes[m]))
         v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
         z = self.depth.astype(np.float64)
         optical = np.stack([(u - CAMERA.cx) / CAMERA.fx * z, (v - CAMERA.cy) / CAMERA.fy * z, z], axis=-1)
         self.points = (pose @ optical.reshape(-1, 3)).reshape(*SHAPE, 3)
-        for at in zip(*np.nonzero(self.cells >= 0), strict=True):
-            self.twin.cast(self.points[at], int(self.choices[at]), int(self.votes[at]))
+
+    def point(self, run: int) -> np.ndarray:
+        """The mean point of a run."""
+        return (self.store.ijk(self.cells[[run]])[0] + 0.5 + np.clip(self.offsets[run], -0.4999, 0.4999)) * VOXEL
 
     @property
     def voxels(self) -> list[tuple[int, int, int]]:
@@ -91,24 +101,33 @@ def test_votes_are_those_of_the_naive_reference(seed: int) -> None:
 
 
 @laws
-@given(seed=seeds, power=st.integers(1, 8))
-def test_pixels_weigh_what_their_place_in_the_mask_and_their_depth_say(seed: int, power: int) -> None:
-    rng = np.random.default_rng(seed)
-    pieces = rng.integers(0, 4, SHAPE).astype(np.int32)
-    labels = np.where(rng.random(SHAPE) < 0.2, 0, 7).astype(np.uint16)
-    numbers = np.array([0, 11, 0, 13], np.uint16)
-    trust, depth = rng.random(SHAPE).astype(np.float32), rng.uniform(0.3, 5.0, SHAPE).astype(np.float32)
-    trust[rng.random(SHAPE) < 0.2] = 0.0
-    choices, weights = np.empty(SHAPE, np.uint16), np.empty(SHAPE, np.float32)
-    kernels.weigh(pieces, labels, numbers, trust, depth, 0.0019, VOXEL, power, choices, weights)
-    for at in np.ndindex(*SHAPE):
-        piece = int(pieces[at])
-        expected = int(numbers[piece]) if piece else BACKGROUND if labels[at] else 0
-        assert choices[at] == expected
-        most = float(trust[pieces == piece].max()) if piece else 1.0
-        votes = expected and trust[at] > 0
-        full = weight(float(trust[at]), most, float(depth[at]), 0.0019, VOXEL, power) if votes else 0.0
-        assert weights[at] == pytest.approx(full, rel=1e-4, abs=1e-9)
+@given(seed=seeds)
+def test_runs_hold_what_their_pixels_count(seed: int) -> None:
+    """Summed over runs and over pixels, each voxel and piece has the same pixels, votes and mean point."""
+    voting = Voting(seed, images=1)
+    face = evidence.UNIT / (CAMERA.fx * CAMERA.fy * VOXEL**2)
+    most = [1.0, *(float(voting.trust[voting.pieces == p].max(initial=0.0)) for p in (1, 2))]
+    pixels, votes, sums = Counter[Any](), Counter[Any](), defaultdict[Any, Any](float)
+    for at in zip(*np.nonzero(voting.depth), strict=True):
+        piece, trust, z = int(voting.pieces[at]), float(voting.trust[at]), float(voting.depth[at])
+        if piece or voting.labels[at]:
+            key = (*voting.twin.at(voting.points[at]), piece)
+            count = face * z * z * weight(trust, most[piece], z, NOISE, VOXEL, POWER) if trust else 0.0
+            pixels[key] += 1
+            votes[key] += count
+            sums[key] += count * voting.points[at]
+    told, counted, runs = Counter[Any](), Counter[Any](), Counter[Any]()
+    for m in np.flatnonzero(voting.owners >= 0).tolist():
+        key = (*voting.store.ijk(voting.cells[[m]])[0].tolist(), int(voting.owners[m]))
+        told[key] += int(voting.pixels[m])
+        counted[key] += int(voting.votes[m])
+        runs[key] += 1
+    assert told == pixels
+    assert all(abs(counted[key] - votes[key]) < runs[key] + 1e-3 for key in votes), "rounded once a run"
+    for m in np.flatnonzero(voting.votes > 0).tolist():
+        key = (*voting.store.ijk(voting.cells[[m]])[0].tolist(), int(voting.owners[m]))
+        if runs[key] == 1:
+            assert voting.point(m) == pytest.approx(sums[key] / votes[key], abs=1e-3)
 
 
 @laws
@@ -125,35 +144,31 @@ def test_the_mean_of_a_voxel_is_that_of_its_points(seed: int) -> None:
 @given(seed=seeds)
 def test_blocks_with_votes_are_told(seed: int) -> None:
     voting = Voting(seed, images=1)
-    things = (voting.cells >= 0) & (voting.choices != BACKGROUND)
+    things = voting.counted & (voting.choices != BACKGROUND)
     expected = set(zip(voting.choices[things].tolist(), (voting.cells[things] >> 9).tolist(), strict=True))
     assert {(number, slot) for number, slot in voting.pairs.tolist()} == expected
     changed = np.flatnonzero(voting.store.changed_at[: voting.store.n_blocks]).tolist()
-    assert changed == sorted(set((voting.cells[voting.cells >= 0] >> 9).tolist()))
+    assert changed == sorted(set((voting.cells[voting.counted] >> 9).tolist()))
 
 
 @laws
 @given(seed=seeds)
 def test_overlaps_at_the_very_point_are_those_of_the_naive_reference(seed: int) -> None:
     voting = Voting(seed)
-    pieces = np.where(voting.cells >= 0, voting.choices % 5, 0).astype(np.int32)
-    depth = np.where(pieces > 0, voting.depth, np.float32(0.0))
     store = voting.store
     piece, number, hits, looked = kernels.count_overlaps(
-        store.table, store.masks, store.first, store.fields["evidence"], depth, pieces, voting.camera, voting.rows,
-        VOXEL, 1, 4,
+        store.table, store.masks, store.first, store.fields["evidence"], read_only(store.block_ijk), voting.cells,
+        voting.owners, voting.pixels, voting.offsets, voting.eye, 2,
     )  # fmt: skip
     expected: Counter[tuple[int, int]] = Counter()
-    leaders = np.empty(1, np.int64)
-    for at in zip(*np.nonzero(pieces), strict=True):
-        voxel = voting.twin.at(voting.points[at])
-        kernels.numbers_of(store.fields["evidence"], voting.record_rows([voxel]), leaders)
-        if sum(voting.twin.votes[voxel].values()) >= 2 * kernels.LEAST_EVIDENCE:
-            assert voting.twin.votes[voxel][int(leaders[0])] == max(voting.twin.votes[voxel].values())
-            expected[int(pieces[at]), int(leaders[0])] += 1
+    for m in range(len(voting.cells)):
+        votes = voting.twin.votes.get(voting.twin.at(voting.point(m)), {})
+        if max(votes.values(), default=0) >= kernels.LEAST_EVIDENCE and len(set(votes.values())) == len(votes):
+            expected[max(int(voting.owners[m]), 0), max(votes, key=lambda n: votes[n])] += int(voting.pixels[m])
     found = Counter(dict(zip(zip(piece.tolist(), number.tolist(), strict=True), hits.tolist(), strict=True)))
     assert not expected - found, "voxels with less are left out, and neighbours looked at in their place"
-    assert looked[1:].tolist() == [int((pieces == n).sum()) for n in range(1, 5)]
+    pixels = np.bincount(np.maximum(voting.owners, 0), voting.pixels, minlength=3)
+    assert looked.tolist() == pixels.tolist()
     assert all(found[p, n] <= looked[p] for p, n in found)
 
 
