@@ -136,6 +136,7 @@ class LabelledCloud:
     labels      (N,) uint16 class ids;  confidence (N,) float32 how sure they are
     instances   (N,) uint32, 0 where there is none
     colors      (N, 3) uint8 of the classes
+    legend      lines that say what the labels mean, see `Palette.legend`
     """
 
     points: NDArray[np.float32]
@@ -143,22 +144,21 @@ class LabelledCloud:
     instances: NDArray[np.uint32]
     confidence: NDArray[np.float32]
     colors: NDArray[np.uint8]
+    legend: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.points)
 
-    def _properties(self) -> list[Property]:
-        return [
+    def ply(self) -> bytes:
+        """A binary PLY file with x, y, z, label, instance, confidence, red, green, blue; the legend as comments."""
+        columns: list[Property] = [
             *vectors("xyz", self.points),
             ("label", self.labels.astype(np.int32)),  # Open3D leaves out properties of unsigned types
             ("instance", self.instances.astype(np.int32)),
             ("confidence", self.confidence),
             *vectors(("red", "green", "blue"), self.colors),
         ]
-
-    def ply(self) -> bytes:
-        """A binary PLY file with x, y, z, label, instance, confidence, red, green, blue."""
-        return ply_bytes(self._properties())
+        return ply_bytes(columns, comments=self.legend)
 
     def write_ply(self, path: str | Path) -> None:
         """Write `ply()` to a file."""
@@ -191,8 +191,9 @@ def labelled_cloud(
     if instances is not None and len(points):
         found = instances.query(centres)
         _move_to_means(points, centres, found, semantics, instances)
-    colors = (palette or Palette()).of(labels)
-    return LabelledCloud(points, labels, found, confidence.astype(np.float32, copy=False), colors)
+    chosen = palette or Palette()
+    sure = confidence.astype(np.float32, copy=False)
+    return LabelledCloud(points, labels, found, sure, chosen.of(labels), chosen.legend(labels))
 
 
 def _move_to_means(points: Array, centres: Array, found: Array, semantics: SemanticMap, instances: InstanceMap) -> None:

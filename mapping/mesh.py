@@ -15,7 +15,7 @@ from mapping.kernels import marching_cubes
 from mapping.labelled import labels_near
 from mapping.layer import Changed
 from mapping.palette import Palette
-from mapping.ply import Property, ply_bytes, vectors, write_ply
+from mapping.ply import Property, ply_bytes, vectors
 from mapping.semantics import SemanticMap
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ class Mesh:
     normals    (N, 3) float32, unit, into free space
     colors     (N, 3) uint8 red, green, blue, or None
     labels     (N,) uint16 class ids, 0 unknown, or None
+    legend     lines that say what the labels mean, for the head of files
     """
 
     vertices: NDArray[np.float32]
@@ -42,6 +43,7 @@ class Mesh:
     normals: NDArray[np.float32]
     colors: NDArray[np.uint8] | None = None
     labels: NDArray[np.uint16] | None = None
+    legend: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.vertices)
@@ -73,25 +75,22 @@ class Mesh:
 
     def write_ply(self, path: str | Path) -> None:
         """Write a binary PLY file with normals and, where there are any, colours and labels (property `label`)."""
-        write_ply(path, self._properties(), self.triangles)
+        Path(path).write_bytes(self.ply())
 
     def ply(self) -> bytes:
         """What `write_ply` writes."""
-        return ply_bytes(self._properties(), self.triangles)
-
-    def _properties(self) -> list[Property]:
-        columns = [*vectors("xyz", self.vertices), *vectors(("nx", "ny", "nz"), self.normals)]
+        columns: list[Property] = [*vectors("xyz", self.vertices), *vectors(("nx", "ny", "nz"), self.normals)]
         if self.colors is not None:
             columns += vectors(("red", "green", "blue"), self.colors)
         if self.labels is not None:
             columns.append(("label", self.labels))
-        return columns
+        return ply_bytes(columns, self.triangles, self.legend)
 
     def colored(self, palette: Palette) -> Mesh:
         """The same mesh with each vertex in the colour of its class, grey without a label."""
         if self.labels is None:
             raise InvalidParameter("labels: expected a mesh with labels, as mesh(labels_from=…) gives")
-        return replace(self, colors=palette.of(self.labels))
+        return replace(self, colors=palette.of(self.labels), legend=palette.legend(self.labels))
 
 
 class Labelled(Protocol):

@@ -35,6 +35,7 @@ class Palette:
             classes = classes.classes
         infos = classes if isinstance(classes, Mapping) else dict(enumerate(classes or (), start=1))
         self._given = {label: info.color or color_of_name(info.name) for label, info in infos.items()}
+        self._names = {label: info.name for label, info in infos.items()}
 
     def of(self, labels: ArrayLike) -> NDArray[np.uint8]:
         """(N, 3) uint8 red, green, blue of class ids (N,)."""
@@ -44,6 +45,15 @@ class Palette:
         for label in np.flatnonzero(counts).tolist():
             table[label] = self[label]
         return np.asarray(table[ids])
+
+    def legend(self, labels: ArrayLike) -> tuple[str, ...]:
+        """A line `class ID RED GREEN BLUE NAME` for each class among the ids (N,) that has a name, by id."""
+        there = np.flatnonzero(np.bincount(np.asarray(labels, np.uint16))).tolist()
+        return tuple(
+            f"class {label} {' '.join(map(str, self[label]))} {self._names[label]}"
+            for label in there
+            if label in self._names
+        )
 
     def __getitem__(self, label: int) -> Color:
         """Red, green, blue of one class id."""

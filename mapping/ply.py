@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,18 +20,21 @@ def vectors(names: Iterable[str], values: Array) -> list[Property]:
     return [(name, values[:, n]) for n, name in enumerate(names)]
 
 
-def ply_bytes(properties: Iterable[Property], triangles: Array | None = None) -> bytes:
+def ply_bytes(properties: Iterable[Property], triangles: Array | None = None, comments: Iterable[str] = ()) -> bytes:
     """A PLY file as bytes.
 
     properties : name and values (N,) of each property of the vertices; x, y, z first, as float32, as many programs
                  expect. Their dtypes say what stands in the file: 8 to 32 bit integers, 32 and 64 bit floats.
     triangles  : (M, 3) rows of vertices
+    comments   : lines for the head of the file; what is not ASCII is escaped as in Python
     """
     columns = [(name, np.asarray(values)) for name, values in properties]
     rows = np.empty(len(columns[0][1]), [(name, values.dtype.newbyteorder("<")) for name, values in columns])
     for name, values in columns:
         rows[name] = values
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    header = ["ply", "format binary_little_endian 1.0"]
+    header += [f"comment {' '.join(line.split())}" for line in comments]
+    header += [f"element vertex {len(rows)}"]
     header += [f"property {_KINDS[values.dtype.str[1:]]} {name}" for name, values in columns]
     faces = b""
     if triangles is not None:
@@ -40,9 +42,4 @@ def ply_bytes(properties: Iterable[Property], triangles: Array | None = None) ->
         corners["n"], corners["corners"] = 3, triangles
         faces = corners.tobytes()
         header += [f"element face {len(triangles)}", "property list uchar int vertex_indices"]
-    return "\n".join([*header, "end_header", ""]).encode("ascii") + rows.tobytes() + faces
-
-
-def write_ply(path: str | Path, properties: Iterable[Property], triangles: Array | None = None) -> None:
-    """Write what `ply_bytes` makes to a file."""
-    Path(path).write_bytes(ply_bytes(properties, triangles))
+    return "\n".join([*header, "end_header", ""]).encode("ascii", "backslashreplace") + rows.tobytes() + faces

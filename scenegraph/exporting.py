@@ -190,7 +190,7 @@ def export_cost(
     Raises `InvalidParameter` where the table is bad, `ExportError` when a file cannot be written.
     """
     from mapping.cost import CostMap, CostTable, cost_cloud
-    from mapping.ply import vectors, write_ply
+    from mapping.ply import ply_bytes, vectors
 
     path = Path(path)
     classes = LabelSpace(classes=dict(enumerate(source.classes, start=1)))
@@ -199,7 +199,7 @@ def export_cost(
     if path.suffix == ".ply":
         centres, cost = cost_cloud(semantics, table, occupancy)
         columns = [*vectors("xyz", centres.astype(np.float32)), ("cost", cost.astype(np.float32))]
-        _writing(path, lambda: write_ply(path, columns))
+        _writing(path, lambda: path.write_bytes(ply_bytes(columns)))
         return path, table.absent
     grid = CostMap(semantics, table, band_m=band_m, occupancy=occupancy)
     grid.update()

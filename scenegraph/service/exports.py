@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ LAYER_FORMATS: dict[str, tuple[str, ...]] = {
 """What each layer can be had as; the first is the default. `npz`: its arrays, and the names and colours of classes.
 `ply`: of the TSDF its mesh, with labels; of the semantics a cloud with class, instance and confidence; else points.
 `ot` of the semantics: free space and occupied voxels in the colours of their classes. `mesh`: a PLY file of the mesh
-in the colours of classes."""
+in the colours of classes. PLY files name the classes in comments, `class ID RED GREEN BLUE NAME`."""
 
 _BESIDE = {
     ("semantics", "ply"): ("instances",),
@@ -184,7 +185,8 @@ def layer_as(name: str, form: str, copies: Copies) -> tuple[bytes, str]:
     layer, semantics = copies.layer(name), copies.layer("semantics")
     match name, form:
         case "tsdf", "ply":
-            data = layer.mesh(labels_from=semantics).ply()
+            mesh = layer.mesh(labels_from=semantics)
+            data = (mesh if semantics is None else replace(mesh, legend=palette.legend(mesh.labels))).ply()
         case "semantics", "mesh":
             data = copies.layer("tsdf").mesh(labels_from=layer).colored(palette).ply()
         case "semantics", "ply":

@@ -24,6 +24,7 @@ from mapping.layered import LayeredMap
 from mapping.observations import ClassInfo, LabelSpace
 from mapping.occupancy import OccupancyMap
 from mapping.palette import UNLABELLED_COLOR, Palette, color_of_name
+from mapping.ply import ply_bytes
 from mapping.semantics import SemanticMap
 from tests import naive_labelled as naive
 from tests.support.scenes import Block, Scene, looking_at
@@ -137,6 +138,14 @@ def test_classes_have_the_colours_that_they_are_given_or_one_by_their_name() -> 
     assert Palette([ClassInfo(name="a"), ClassInfo(name="cup")])[2] == palette[9]
 
 
+def test_a_legend_names_classes_whatever_their_names_are() -> None:
+    palette = Palette([ClassInfo(name="sofa", color=(1, 2, 3)), ClassInfo(name="end\nend_header\u00fc")])
+    assert palette.legend([2, 1, 1, 0, 9])[0] == "class 1 1 2 3 sofa"
+    head = ply_bytes([("x", np.zeros(1, np.float32))], comments=palette.legend([1, 2])).split(b"end_header\n")
+    assert len(head) == 2
+    assert b"end end_header\\xfc\n" in head[0]
+
+
 def test_colours_by_name_are_stable_never_grey_and_seldom_alike() -> None:
     assert color_of_name("cup") == (242, 36, 191)
     colors = np.array([color_of_name(f"class {n}") for n in range(60)], float)
@@ -168,7 +177,7 @@ def test_the_cloud_has_a_point_in_each_labelled_voxel(table: tuple[LayeredMap, S
 def test_a_cloud_is_read_back_by_open3d_and_by_a_plain_reader(table: tuple[LayeredMap, Scene], tmp_path) -> None:
     import open3d
 
-    layers, _ = table
+    layers, scene = table
     cloud = labelled_cloud(layers.semantics, layers.instances)
     cloud.write_ply(tmp_path / "cloud.ply")
     plain = naive.read_ply(tmp_path / "cloud.ply")
@@ -179,6 +188,7 @@ def test_a_cloud_is_read_back_by_open3d_and_by_a_plain_reader(table: tuple[Layer
     assert np.array_equal(plain["label"], cloud.labels)
     assert np.array_equal(plain["instance"], cloud.instances)
     assert np.array_equal(plain["confidence"], cloud.confidence)
+    assert len(cloud.legend) == 0 < len(labelled_cloud(layers.semantics, None, Palette(scene.label_space)).legend)
     theirs = open3d.t.io.read_point_cloud(str(tmp_path / "cloud.ply"))
     ours = cloud.to_open3d()
     for name in ("positions", "colors", "label", "instance", "confidence"):

@@ -91,7 +91,9 @@ def test_meshes_have_labels_and_an_octree_has_their_colours(world, sources, tmp_
     colors = np.stack([mesh[c] for c in ("red", "green", "blue")], axis=1)
     assert np.array_equal(colors, palette.of(mesh["label"]))
     assert set(np.unique(mesh["label"])) >= {1, 2, 3}
-    assert "label" in naive.read_ply(export(sources[0], "ply", tmp_path / "mesh.ply"))
+    path = export(sources[0], "ply", tmp_path / "mesh.ply")
+    assert np.array_equal(naive.read_ply(path)["label"], mesh["label"])
+    assert b"\ncomment class 2 " in path.read_bytes()[:1000]
     tree = read_octomap(export(sources[0], "ot", tmp_path / "classes.ot"))
     centres = world.map.occupancy.occupied_centres()
     assert len(tree.occupied_centres()) == len(centres)
