@@ -49,9 +49,12 @@ well inside a mask, rather than to what the rims of many masks say: these bleed,
 out."""
 MEAN_MEMORY = 8.0
 """Votes (about: full views) over which a voxel's mean point is taken."""
-LEAST_WEIGHT = 0.15
+LEAST_WEIGHT = 0.01
 LEAST_SHARE = 0.5
-"""A voxel is part of an instance that holds this many votes (about: full views) and this share of all its votes."""
+"""A voxel is part of an instance that holds this many votes (about: full views) and this share of all its votes. Where
+a thing touches another, only rims were ever seen, which count little."""
+FADED_WEIGHT = 0.01
+"""A voxel that holds less than this as it fades is forgotten."""
 COUNTERS = 2
 """Instances that a voxel counts votes for, one by one."""
 LOOK_STEP = 2
@@ -277,7 +280,7 @@ class InstanceMap(PackedLayer):
         lost, empty = np.zeros(BACKGROUND + 1, np.bool_), np.empty(len(cells), np.bool_)
         kernels.fade(
             self.store.fields["evidence"], self.store.rows(cells), np.asarray(gone, np.bool_)[first], self._sizes, lost,
-            int(0.25 * LEAST_WEIGHT * evidence.UNIT), empty,
+            int(FADED_WEIGHT * evidence.UNIT), empty,
         )  # fmt: skip
         self.store.remove(cells[empty])
         self._note(np.unique(cells[cells >= 0] >> 9))
@@ -321,7 +324,8 @@ class InstanceMap(PackedLayer):
 
     # -- what is there ------------------------------------------------------------------------------------
     def points(self, instance_id: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Surface points (N, 3) [m], one a voxel that the instance has won, and their votes (N,)."""
+        """Surface points (N, 3) [m], one a voxel that the instance has won, and how much each is worth (N,): the root
+        of its votes, since votes fall off steeply towards rims."""
         instance, fields = self.instances[instance_id], self.store.fields
         cells, rows = self._rows(instance)
         chosen, weights = np.empty(len(rows), np.int64), np.empty(len(rows), np.float32)
@@ -330,7 +334,7 @@ class InstanceMap(PackedLayer):
         )
         centres = ijk_to_centre(self.store.ijk(cells[chosen[:n]]), self.voxel_size_m)
         offsets = fields["mean"][rows[chosen[:n]]] * (self.voxel_size_m / kernels.MEAN_UNIT)
-        return (centres + offsets).astype(np.float32), weights[:n] / np.float32(evidence.UNIT)
+        return (centres + offsets).astype(np.float32), np.sqrt(weights[:n] / np.float32(evidence.UNIT))
 
     def class_votes(self, ijk: ArrayLike) -> tuple[NDArray[np.uint16], NDArray[np.float32], NDArray[np.float32]]:
         """What instances say of the class of voxels (N, 3) of this map's size.

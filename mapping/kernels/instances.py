@@ -46,7 +46,7 @@ def wins(records: Array, row: Int, column: Int, least: Int, share: Float) -> boo
     for c in range(k, 2 * k + 1):
         held += records[row, c]
     here = np.int64(records[row, k + column])
-    return here >= least and here >= share * held
+    return bool(here >= least and here >= share * held)
 
 
 @njit(cache=True)
@@ -106,7 +106,8 @@ def trace(
         at: Int = np.int64(-1)  # cell, owner and sums of the run that is going on
         whose: Int = np.int64(-1)
         count: Int = np.int64(0)
-        total = weight = sx = sy = sz = fx = fy = fz = 0.0
+        weight: Float = 0.0
+        total = sx = sy = sz = fx = fy = fz = 0.0
         for u in range(0, width + step, step):
             cell: Int = np.int64(-1)
             owner: Int = np.int64(-1)
@@ -140,7 +141,7 @@ def trace(
                 weight = 0.0
                 if owner >= 0 and trust[v, u] > 0.0:
                     sigma = spread * z * z
-                    share = np.float64(trust[v, u]) / most[owner]
+                    share: Float = np.float64(trust[v, u]) / most[owner]
                     weight = face * z * z * most[owner] / (1.0 + sigma * sigma)
                     for _ in range(power):
                         weight *= share
@@ -148,8 +149,8 @@ def trace(
                 if at >= 0:
                     cells[n], owners[n], pixels[n] = at, whose, count
                     votes[n] = np.int64(total + (0.7548776662 * u + 0.5698402910 * v) % 1.0)
-                    share = 1.0 / total if total > 0.0 else 0.0
-                    offsets[n, 0], offsets[n, 1], offsets[n, 2] = sx * share, sy * share, sz * share
+                    each = 1.0 / total if total > 0.0 else 0.0
+                    offsets[n, 0], offsets[n, 1], offsets[n, 2] = sx * each, sy * each, sz * each
                     if votes[n] > 0 and (at >> 9 >= n_blocks or not has_record(masks, at)):
                         bare[n_bare] = at
                         n_bare += 1
@@ -190,7 +191,7 @@ def count_overlaps(
     k = records.shape[1] // 2
     n = 0
     for m in range(cells.shape[0]):
-        piece = max(np.int64(owners[m]), 0)
+        piece: Int = max(np.int64(owners[m]), 0)
         looked[piece] += pixels[m]
         cell, slot = cells[m], cells[m] >> 9
         px = (block_ijk[slot, 0] << 3) + ((cell >> 6) & 7) + 0.5 + offsets[m, 0]
