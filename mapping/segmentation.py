@@ -43,6 +43,8 @@ LEAST_OUTLINE = 12
 """A mask shows its own bleed when depth shows its outline at so many of its border pixels."""
 OWN_RANK = 0.4
 """Which of these is taken: a little under the median, as slanted borders are looked across at an angle."""
+MOST_RANK = 0.9
+"""No mask is believed to bleed more than this share of those seen lately: what looks so is a hollow thing's far side."""
 BLEED_MEMORY = 50.0
 """The bleed of masks that show none is that of about so many others seen last."""
 DOUBT = 0.3
@@ -87,7 +89,11 @@ class Bleed:
     @property
     def typical_px(self) -> float:
         """The median of the masks seen lately; 0 where none has shown anything."""
-        return 0.5 * float(np.searchsorted(np.cumsum(self._masks), 0.5 * self._masks.sum()))
+        return 0.5 * self._at_rank(0.5)
+
+    def _at_rank(self, rank: float) -> int:
+        """The bleed [half pixels] that this share of the masks seen lately does not exceed."""
+        return int(np.searchsorted(np.cumsum(self._masks), rank * self._masks.sum()))
 
     def measure(self, mask: Array, borders: Array, n: int, depth_m: Array, pixel_m: float) -> Array:
         """How far each mask of an image bleeds, (n,) int64 [px]: as its own outline shows, else what is typical.
@@ -101,7 +107,8 @@ class Bleed:
         shown = total[:, 0] >= LEAST_OUTLINE
         self._masks *= (1.0 - 1.0 / BLEED_MEMORY) ** shown.sum()
         np.add.at(self._masks, own[shown], 1.0)
-        return np.asarray(np.where(shown, own, 2 * self.typical_px) + 1, np.int64) // 2
+        likely = np.where(shown, np.minimum(own, self._at_rank(MOST_RANK)), self._at_rank(0.5))
+        return np.asarray(likely + 1, np.int64) // 2
 
 
 def segment(image: RgbdImage, depth_m: Array, things: Array, bleed: Bleed | None = None) -> Segmentation:

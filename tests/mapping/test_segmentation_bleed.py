@@ -181,3 +181,18 @@ def test_where_two_masks_touch_on_one_surface_neither_is_sure() -> None:
     assert seen.trust[80, 205] == 1.0
     assert seen.labels[80, 217] == seen.labels[80, 223] == PICTURE, "but each keeps what it has"
     assert len(np.unique(seen.pieces[picture])) >= 2
+
+
+def test_one_mask_that_seems_to_bleed_among_many_that_do_not_is_taken_for_hollow() -> None:
+    """A bowl's far rim lies on the table; behind its near rim depth jumps, as at an outline."""
+    bowl = disc(160, 120, 40)
+    depth = np.where(disc(160, 128, 32), 1.0, 2.5).astype(np.float32)
+    bleed = Bleed()
+    for _ in range(20):
+        clean = disc(160, 120, 30).astype(np.int32)
+        bleed.measure(
+            clean, find_borders(clean), 2, read_only(np.where(clean, np.float32(1.0), np.float32(2.5))), 0.004
+        )
+    mask = bowl.astype(np.int32)
+    assert bleed.measure(mask, find_borders(mask), 2, read_only(depth), 0.004)[1] == 0
+    assert Bleed().measure(mask, find_borders(mask), 2, read_only(depth), 0.004)[1] > 3
