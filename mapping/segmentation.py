@@ -44,7 +44,7 @@ LEAST_OUTLINE = 12
 OWN_RANK = 0.4
 """Which of these is taken: a little under the median, as slanted borders are looked across at an angle."""
 MOST_RANK = 0.9
-"""No mask is believed to bleed more than this share of those seen lately: what looks so is a hollow thing's far side."""
+"""No mask is believed to bleed more than this share of those seen lately: such a thing is hollow."""
 BLEED_MEMORY = 50.0
 """The bleed of masks that show none is that of about so many others seen last."""
 DOUBT = 0.3
