@@ -17,6 +17,7 @@ from mapping.errors import InvalidParameter
 from mapping.grid import as_points, ijk_to_centre
 from mapping.instances import InstanceMap
 from mapping.kernels import labelled as kernels
+from mapping.kernels.evidence import UNIT
 from mapping.layer import require
 from mapping.occupancy import FREE, OCCUPIED, OccupancyMap
 from mapping.octomap_writing import write_octomap
@@ -80,7 +81,10 @@ def labels_near(
     store = semantics.store
     cells = np.empty(len(points), np.int64)
     reach = require("reach_m", reach_m, 0.0, 64.0 * semantics.voxel_size_m, "m")
-    kernels.nearest_cells(store.table, store.masks, points, semantics.voxel_size_m, reach, cells)
+    kernels.nearest_cells(
+        store.table, store.masks, store.first, store.fields["evidence"], semantics.least * UNIT, points,
+        semantics.voxel_size_m, reach, cells,
+    )  # fmt: skip
     near = cells >= 0
     labels, confidence = np.zeros(len(points), np.uint16), np.full(len(points), np.nan, np.float32)
     labels[near], confidence[near] = semantics.query(ijk_to_centre(store.ijk(cells[near]), semantics.voxel_size_m))

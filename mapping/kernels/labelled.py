@@ -9,19 +9,41 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.kernels.hashing import BLOCK_LIMIT, lookup
-from mapping.kernels.packed import has_record
+from mapping.kernels.packed import row_of
 
 Array: TypeAlias = NDArray[Any]
 Float: TypeAlias = Any
 Int: TypeAlias = Any
 
 
-@njit(cache=True)
-def nearest_cells(table: Array, masks: Array, points: Array, voxel: Float, reach: Float, cells: Array) -> None:
-    """The cell (n,) int64 of the record nearest to each point (n, 3) [m], in place; −1 where none is near.
+@njit(cache=True, inline="always")
+def _is_labelled(records: Array, row: Int, least: Float) -> Any:
+    """Whether a record (2k + 1,), see `mapping.kernels.evidence`, has a class and evidence ≥ `least` [1/UNIT]."""
+    k = records.shape[1] // 2
+    held = np.int64(records[row, 2 * k])
+    counted = np.int64(0)
+    for c in range(k):
+        counted += records[row, k + c]
+    return counted > 0 and held + counted >= least
 
-    That of the voxel in which the point lies, if it has one; else of those whose centres lie within `reach` [m] that
-    with the nearest centre, of equally near ones the first in order of i, j, k.
+
+@njit(cache=True)
+def nearest_cells(
+    table: Array,
+    masks: Array,
+    first: Array,
+    records: Array,
+    least: Float,
+    points: Array,
+    voxel: Float,
+    reach: Float,
+    cells: Array,
+) -> None:
+    """The cell (n,) int64 of the labelled voxel nearest to each point (n, 3) [m], in place; −1 where none is near.
+
+    That of the voxel in which the point lies, if it has a label; else of those whose centres lie within `reach` [m]
+    that with the nearest centre, of equally near ones the first in order of i, j, k.
+    least : evidence [1/UNIT] from which a record is a label
     """
     steps = np.int64(np.ceil(reach / voxel))
     bound = 8.0 * (BLOCK_LIMIT - 1) - steps
@@ -53,7 +75,8 @@ def nearest_cells(table: Array, masks: Array, points: Array, voxel: Float, reach
                         if slot < 0:
                             continue
                         cell = slot << 9 | (i & 7) << 6 | (j & 7) << 3 | (k & 7)
-                        if has_record(masks, cell):
+                        row = row_of(masks, first, cell)
+                        if row >= 0 and _is_labelled(records, row, least):
                             best = far
                             cells[n] = cell
 

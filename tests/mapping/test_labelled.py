@@ -37,7 +37,8 @@ def world(seed: int, n: int = 60, size: int = 6) -> tuple[SemanticMap, Occupancy
     """Fine voxels with random classes and coarser ones of random occupancy, independent of each other."""
     rng = np.random.default_rng(seed)
     semantics, occupancy = SemanticMap(voxel_size_m=FINE), OccupancyMap(COARSE, 5.0)
-    semantics.integrate((rng.integers(-size, size, (n, 3)) + 0.5) * FINE, rng.integers(1, 4, n))
+    weights = rng.choice([0.01, 1.0], n)  # the first is too little for a label
+    semantics.integrate((rng.integers(-size, size, (n, 3)) + 0.5) * FINE, rng.integers(1, 4, n), weights)
     seen = np.unique(rng.integers(-size // 2, size // 2, (n, 3)), axis=0)
     occupancy.assign((seen + 0.5) * COARSE, np.where(rng.random(len(seen)) < 0.5, 30, -30))
     return semantics, occupancy
