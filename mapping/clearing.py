@@ -1,4 +1,8 @@
-"""Which voxels of a surface are no longer there: a later image sees through them, and the occupancy map agrees."""
+"""Which voxels of a surface are no longer there: a later image sees through them, and the occupancy map agrees.
+
+What was flatter than a voxel of the occupancy map and lay on something is not told from what it lay on: it does not
+fade, it is outvoted where the surface below falls into the same voxels.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +19,12 @@ from mapping.view import DepthView
 
 Array: TypeAlias = NDArray[Any]
 
-MARGIN_VOXELS = 2.0
+MARGIN_VOXELS = 1.0
 """An image sees through a voxel when it sees farther than it by so many voxels of the occupancy map …"""
 MARGIN_SHARE = 0.015
 """… and by this share of the distance, as depth and the angles of a pose are less certain far away, …"""
-MARGIN_PX = 3
-"""… in the pixels so far to the left and right, above and below, too."""
+MARGIN_RAD = 0.009
+"""… in the pixels so far to the left and right, above and below, too (one pixel at least): about what a pose errs."""
 TURNS = 3
 """Of all blocks, one image looks at every so-manieth."""
 
@@ -37,9 +41,10 @@ def seen_through(
     blocks, _ = view.blocks(store.block_size_m, front_m=margin, back_m=0.0, with_free=True)
     slots = store.find(blocks)
     slots = slots[(slots >= 0) & (slots % TURNS == turn % TURNS)]
+    around = max(1, round(MARGIN_RAD * float(view.camera[12])))
     cells = kernels.list_seen_through(
         store.masks, store.block_ijk, slots, store.voxel_size_m, view.reach, view.camera, margin, MARGIN_SHARE,
-        MARGIN_PX,
+        around,
     )  # fmt: skip
     voxels = store.ijk(cells)
     probability = occupancy.query(ijk_to_centre(voxels, store.voxel_size_m))
