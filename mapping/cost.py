@@ -168,6 +168,10 @@ def _look(
     size = labels.voxel_size_m if occupancy is None else occupancy.voxel_size_m
     not_free = np.flatnonzero(classes != FREE)
     centres = (np.floor(points[not_free] / size) + 0.5) * size
+    per_block = labels.block_size_m / size
+    if per_block >= 1.0 and abs(per_block - round(per_block)) < 1e-6:  # no voxel reaches over the border of a block
+        something = solid[not_free] | (labels.store.cells_at(centres) >= 0)
+        not_free, centres = not_free[something], centres[something]
     names = labels_within(centres, size, labels)
     labelled = (names != 0).any(axis=1)
     names, at = names[labelled], not_free[labelled]

@@ -72,6 +72,19 @@ def test_areas_are_those_of_the_mesh() -> None:
         class_histogram(aligned_box((0, 0, 0), (1, 1, 1)), semantics, occupancy, Mesh(vertices, triangles, vertices))
 
 
+@settings(max_examples=10, deadline=None)
+@given(seed=seeds)
+def test_eight_boxes_hold_together_what_the_box_about_them_holds(seed: int) -> None:
+    semantics, occupancy = world(seed)
+    middle = np.random.default_rng(seed).uniform(-0.2, 0.2, 3)
+    whole = class_histogram(aligned_box(middle - 0.5, middle + 0.5), semantics, occupancy)
+    corners = [middle + (np.array(c) - 1) * 0.5 for c in np.ndindex(2, 2, 2)]
+    parts = [class_histogram(aligned_box(low, low + 0.5), semantics, occupancy) for low in corners]
+    for name in ("occupied", "free", "unseen", "unlabelled"):
+        assert sum(getattr(part, name) for part in parts) == getattr(whole, name)
+    assert sum(part.voxels.sum() for part in parts) == whole.voxels.sum()
+
+
 def test_a_box_that_nobody_looked_into_is_unseen() -> None:
     semantics, occupancy = world(0)
     found = class_histogram(aligned_box((7.0, 7.0, 7.0), (8.0, 8.0, 8.0)), semantics, occupancy)

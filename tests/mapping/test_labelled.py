@@ -202,6 +202,8 @@ def test_a_cloud_is_read_back_by_open3d_and_by_a_plain_reader(table: tuple[Layer
 
 
 def test_a_labelled_mesh_has_the_colours_of_its_classes_and_is_read_back(table, tmp_path) -> None:
+    import open3d
+
     layers, scene = table
     palette = Palette([ClassInfo(name=name) for name in scene.classes])
     bare = layers.tsdf.mesh()
@@ -216,6 +218,9 @@ def test_a_labelled_mesh_has_the_colours_of_its_classes_and_is_read_back(table, 
     plain = naive.read_ply(tmp_path / "mesh.ply")
     assert np.array_equal(plain["label"], mesh.labels)
     assert np.array_equal(plain["triangles"], mesh.triangles)
+    theirs = open3d.io.read_triangle_mesh(str(tmp_path / "mesh.ply"))
+    assert np.array_equal(np.asarray(theirs.triangles), mesh.triangles)
+    assert np.array_equal(np.rint(np.asarray(theirs.vertex_colors) * 255.0), mesh.colors)
     assert np.array_equal(np.stack([plain[c] for c in ("red", "green", "blue")], axis=1), mesh.colors)
 
 
