@@ -117,6 +117,16 @@ def test_costs_are_a_grid_and_names_that_the_map_does_not_know_are_told(sources,
     assert {0.0, 4.0, np.inf} <= set(naive.read_ply(path)["cost"].tolist())
 
 
+def test_an_empty_world_gives_files_that_hold_nothing(tmp_path):
+    with World() as empty:
+        source = Saved(empty)
+        for form, layer in (("ply", "semantics"), ("mesh", None), ("ply", None)):
+            assert not len(naive.read_ply(export(source, form, tmp_path / "out", layer=layer))["x"])
+        assert not len(read_octomap(export(source, "ot", tmp_path / "out.ot")).occupied_centres())
+        (tmp_path / "costs.json").write_text(json.dumps({"costs": {}, "default": 1}))
+        assert export_cost(source, tmp_path / "costs.json", tmp_path / "cost", band_m=(0.0, 1.0))[0].exists()
+
+
 @pytest.mark.parametrize(
     ("form", "words", "told"),
     [
