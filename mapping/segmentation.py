@@ -98,7 +98,8 @@ class Bleed:
     def measure(self, mask: Array, borders: Array, n: int, depth_m: Array, pixel_m: float) -> Array:
         """How far each mask of an image bleeds, (n,) int64 [px]: as its own outline shows, else what is typical.
 
-        mask (H, W) int32 < n, 0 = background;  depth_m (H, W) float32 [m];  pixel_m: the width of a pixel at 1 m
+        mask     (H, W) int32 < n, ≤ 0 on the background;  borders: as `find_borders` finds them in it
+        depth_m  (H, W) float32 [m], 0 = not measured;  pixel_m: the width of a pixel at 1 m
         """
         counts = np.zeros((n, len(self._masks)), np.int32)
         measure_bleed(mask, borders, depth_m, DEPTH_STEP_M, DEPTH_STEP_SHARE, RIM_SLOPE, pixel_m, counts)
@@ -116,7 +117,7 @@ def segment(image: RgbdImage, depth_m: Array, things: Array, bleed: Bleed | None
 
     depth_m : (H, W) float32 [m], 0 where not measured or out of range
     things  : (65536,) bool: classes that have instances even where the image gives none
-    bleed    what earlier images told of the segmenter's bleed, updated; default: this image alone tells
+    bleed   : what earlier images told of the segmenter's bleed, updated; default: this image alone tells
     """
     shape = depth_m.shape
     depth = read_only(np.ascontiguousarray(depth_m, np.float32))
