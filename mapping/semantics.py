@@ -177,14 +177,13 @@ class SemanticMap(PackedLayer):
             weight = weight * np.asarray(gain, np.float32)
         if covariance is not None:
             return self._spread(depth_m, labels, weight, intrinsics, T_map_camera, covariance)
-        cells, counts = np.empty(depth_m.shape, np.int32), np.empty(depth_m.shape, np.uint16)
-        blocks, bare = kernels.cells_of_image(
+        cells, choices, counts, blocks, bare = kernels.runs_of_image(
             store.table, store.masks, store.n_blocks, depth_m, np.asarray(labels, np.uint16), weight,
-            camera_row(intrinsics), pose_rows(T_map_camera), self.voxel_size_m, cells, counts,
+            camera_row(intrinsics), pose_rows(T_map_camera), self.voxel_size_m,
         )  # fmt: skip
         store.allocate(blocks)
         store.add(bare)
-        return self._give([(cells.ravel(), labels.ravel(), counts.ravel())])
+        return self._give([(cells, choices, counts)])
 
     def _spread(
         self,

@@ -25,12 +25,12 @@ UNIT = 256
 """So many counts are one full view of a voxel, or one nat."""
 MOST = 65535 // UNIT - 1
 """More evidence than this a voxel cannot hold: it is halved before."""
-DENSE_PIXELS = 0.25
-"""Surfaces nearer than this share of the distance at which a pixel is as wide as a voxel are seen densely enough."""
+DENSE_PIXELS = 0.5
+"""Where pixels are narrower than this share of a voxel every other row and column is enough."""
 
 
 @njit(cache=True)
-def cells_of_image(
+def runs_of_image(
     table: Array,
     masks: Array,
     n_blocks: Int,
@@ -40,76 +40,84 @@ def cells_of_image(
     camera: Array,
     pose: Array,
     voxel: Float,
-    cells: Array,
-    votes: Array,
-) -> tuple[Array, Array]:
-    """The cell in which each pixel's point lies, and what the pixel counts there, in place.
+) -> tuple[Array, Array, Array, Array, Array]:
+    """What the pixels of an image say of which voxels: runs of pixels beside each other that agree on both.
 
-    depth (H, W) float32 [m]; choices (H, W) with 0 = no vote; trust (H, W) float32, what a full view counts
+    depth (H, W) float32 [m]; choices (H, W) uint16 with 0 = no vote; trust (H, W) float32, what a full view counts
     camera (4,) fx, fy, cx, cy; pose (3, 4) camera in map; voxel: edge [m]
-    cells (H, W) int32, −1 where there is no vote; votes (H, W) uint16 [1/UNIT]
+
+    Returns cells (n,), choices (n,) uint16 and counts (n,) [1/UNIT] of the runs; the blocks (m, 3) int32 that the table
+    does not have, numbered on from n_blocks in that order; and the cells (k,) that have no record yet, some more than
+    once.
 
     A pixel counts the share of a voxel's face that it covers, (z/f)² / v² or 1, so that a full view counts about one
-    whatever the distance; shares of a unit are rounded up and down in turn (by Roberts' R₂ sequence), so that their sum
-    is right. Where pixels are far denser than voxels every other row and column is enough. Blocks that the table does
-    not have are numbered on from n_blocks and returned (m, 3) int32, in that order; with the cells (k,) int32 that have
-    no record yet, some more than once.
+    whatever the distance; what a run counts is rounded up and down in turn (by Roberts' R₂ sequence), so that sums are
+    right.
     """
     height, width = depth.shape
     focal = camera[0] * camera[1]
     dense = DENSE_PIXELS * voxel * np.sqrt(focal)
     per_voxel = 1.0 / voxel
     scale = UNIT * per_voxel * per_voxel / focal
-    bare = np.empty(height * width, np.int32)
-    n_bare = 0
-    found = np.empty((256, 3), np.int32)
-    fresh = np.full((1024, 2), -1, np.int64)
-    n = 0
-    last_i: Int = 1 << 30
-    last_j: Int = 1 << 30
-    last_k: Int = 1 << 30
+    cells, counts = np.empty(height * width, np.int64), np.empty(height * width, np.int64)
+    said, bare = np.empty(height * width, np.uint16), np.empty(height * width, np.int64)
+    found, fresh = np.empty((256, 3), np.int32), np.full((1024, 2), -1, np.int64)
+    n = n_bare = n_found = 0
+    bi: Int = 1 << 30
+    bj: Int = 1 << 30
+    bk: Int = 1 << 30
     slot: Int = np.int64(-1)
     for v in range(height):
         y_z = (v - camera[3]) / camera[1]
-        for u in range(width):
-            cells[v, u] = -1
-            z = np.float64(depth[v, u])
-            if choices[v, u] == 0 or not z > 0.0:
+        total = 0.0  # of the run that is going on, which began at `start` in voxel (a, b, c)
+        choice: Int = np.int64(0)
+        a: Int = np.int64(0)
+        b: Int = np.int64(0)
+        c: Int = np.int64(0)
+        start = 0
+        for u in range(width + 1):
+            here: Int = np.int64(0)
+            weight = 0.0
+            i: Int = np.int64(0)
+            j: Int = np.int64(0)
+            k: Int = np.int64(0)
+            z = np.float64(depth[v, u]) if u < width else 0.0
+            if u < width and z < dense and (u | v) & 1:
                 continue
-            share = z * z * scale
-            if z < dense:
-                if (u | v) & 1:
-                    continue
-                share *= 4.0
-            count = np.int64(trust[v, u] * min(share, UNIT) + (0.7548776662 * u + 0.5698402910 * v) % 1.0)
-            if count <= 0:
+            if z > 0.0 and choices[v, u] != 0 and trust[v, u] > 0.0:
+                share = z * z * scale * (4.0 if z < dense else 1.0)
+                here, weight = np.int64(choices[v, u]), trust[v, u] * min(share, UNIT)
+                x, y = (u - camera[2]) / camera[0] * z, y_z * z
+                i = np.int64(np.floor((pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) * per_voxel))
+                j = np.int64(np.floor((pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) * per_voxel))
+                k = np.int64(np.floor((pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]) * per_voxel))
+            if here == choice and i == a and j == b and k == c:
+                total += weight
                 continue
-            x, y = (u - camera[2]) / camera[0] * z, y_z * z
-            i = np.int64(np.floor((pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) * per_voxel))
-            j = np.int64(np.floor((pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) * per_voxel))
-            k = np.int64(np.floor((pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]) * per_voxel))
-            bi, bj, bk = i >> 3, j >> 3, k >> 3
-            if bi != last_i or bj != last_j or bk != last_k:
-                last_i, last_j, last_k = bi, bj, bk
-                slot = np.int64(lookup(table, bi, bj, bk))
-                if slot < 0:
-                    if 2 * n > len(fresh):
-                        fresh = np.full((4 * len(fresh), 2), -1, np.int64)
-                        for m in range(n):
-                            find_or_insert(fresh, found[m, 0], found[m, 1], found[m, 2], n_blocks + m)
-                    slot = np.int64(find_or_insert(fresh, bi, bj, bk, n_blocks + n))
-                    if slot == n_blocks + n:
-                        if n == len(found):
-                            found = np.concatenate((found, np.empty_like(found)))
-                        found[n, 0], found[n, 1], found[n, 2] = bi, bj, bk
-                        n += 1
-            cell = slot << 9 | (i & 7) << 6 | (j & 7) << 3 | (k & 7)
-            cells[v, u] = cell
-            votes[v, u] = min(count, 65535)
-            if slot >= n_blocks or not has_record(masks, cell):
-                bare[n_bare] = cell
-                n_bare += 1
-    return found[:n].copy(), bare[:n_bare]
+            count = np.int64(total + (0.7548776662 * start + 0.5698402910 * v) % 1.0)
+            if choice != 0 and count > 0:
+                if a >> 3 != bi or b >> 3 != bj or c >> 3 != bk:
+                    bi, bj, bk = a >> 3, b >> 3, c >> 3
+                    slot = np.int64(lookup(table, bi, bj, bk))
+                    if slot < 0:
+                        if 2 * n_found > len(fresh):
+                            fresh = np.full((4 * len(fresh), 2), -1, np.int64)
+                            for m in range(n_found):
+                                find_or_insert(fresh, found[m, 0], found[m, 1], found[m, 2], n_blocks + m)
+                        slot = np.int64(find_or_insert(fresh, bi, bj, bk, n_blocks + n_found))
+                        if slot == n_blocks + n_found:
+                            if n_found == len(found):
+                                found = np.concatenate((found, np.empty_like(found)))
+                            found[n_found, 0], found[n_found, 1], found[n_found, 2] = bi, bj, bk
+                            n_found += 1
+                cell = slot << 9 | (a & 7) << 6 | (b & 7) << 3 | (c & 7)
+                cells[n], said[n], counts[n] = cell, choice, count
+                n += 1
+                if slot >= n_blocks or not has_record(masks, cell):
+                    bare[n_bare] = cell
+                    n_bare += 1
+            choice, a, b, c, total, start = here, i, j, k, weight, u
+    return cells[:n], said[:n], counts[:n], found[:n_found].copy(), bare[:n_bare]
 
 
 @njit(cache=True, inline="always")
