@@ -5,7 +5,7 @@ Three things are never mixed up: what was never observed, what was observed and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -30,7 +30,7 @@ Array: TypeAlias = NDArray[Any]
 UNSEEN, EMPTY, UNLABELLED, LABELLED = 0, 1, 2, 3
 """What is known of a place: nothing was ever observed there; it is free; there is a surface without a label; there is a
 class."""
-_CHUNK = 1 << 18  # cubes that are looked at together
+_AT_ONCE = 1 << 20  # voxels that are looked at together
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,22 +99,35 @@ def labels_of_cubes(centres: ArrayLike, edge_m: float, semantics: SemanticMap) -
     """
     middles = as_points(centres, "centres")
     labels = np.zeros(len(middles), np.uint16)
-    for first in range(0, len(middles), _CHUNK):
-        chunk = slice(first, first + _CHUNK)
+    for chunk in _chunks(len(middles), _voxels_along(edge_m, semantics) ** 3):
         labels[chunk] = _most(labels_within(middles[chunk], edge_m, semantics))
     return labels
 
 
-def labels_within(centres: Array, edge_m: float, semantics: Any) -> NDArray[np.uint16]:
+def labels_within(centres: Array, edge_m: float, semantics: SemanticMap) -> NDArray[np.uint16]:
     """The class ids (N, n³) of the voxels within cubes about `centres` (N, 3) [m], n along each edge; 0 without a
     label. Of a cube that is no larger than a voxel, that of the voxel at its centre."""
+    n = _voxels_along(edge_m, semantics)
+    steps = ((np.arange(n) + 0.5) / n - 0.5) * edge_m
+    offsets = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    found = np.empty((len(centres), n**3), np.uint16)
+    for chunk in _chunks(len(centres), n**3):
+        points = (centres[chunk, None] + offsets).reshape(-1, 3)
+        found[chunk] = semantics.query(points)[0].reshape(-1, n**3)
+    return found
+
+
+def _voxels_along(edge_m: float, semantics: SemanticMap) -> int:
     n = max(1, round(edge_m / semantics.voxel_size_m))
     if n > 64:
         raise InvalidParameter(f"edge_m: expected at most 64 voxels of {semantics.voxel_size_m:g} m, got {edge_m:g}")
-    steps = ((np.arange(n) + 0.5) / n - 0.5) * edge_m
-    offsets = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    found = semantics.query((centres[:, None] + offsets).reshape(-1, 3))[0]
-    return np.asarray(found, np.uint16).reshape(len(centres), n**3)
+    return n
+
+
+def _chunks(n: int, size: int) -> Iterator[slice]:
+    """Parts of n things, each `size` large, that are looked at together."""
+    at_once = max(1, _AT_ONCE // size)
+    return (slice(first, first + at_once) for first in range(0, n, at_once))
 
 
 def _most(labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
