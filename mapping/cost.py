@@ -276,7 +276,8 @@ class CostMap:
     reach_m      occupied voxels without a label are taken for what a label so near says, see `semantic_cost`
 
     Columns are as wide as the voxels of `occupancy`, without it as those of `labels`. `update` computes anew what has
-    changed since it was last called. Raises `InvalidParameter`.
+    changed since it was last called; where a thing gets another class, this is where it was looked at again. Raises
+    `InvalidParameter`.
     """
 
     def __init__(
