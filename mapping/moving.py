@@ -17,6 +17,7 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import binary_dilation
 from scipy.optimize import linear_sum_assignment
 
 from mapping.errors import MappingError
@@ -42,6 +43,11 @@ SIZE_SIGMA = 0.4
 MOST_FOR_SIZE = 4.0
 """Beside the squared distance there speaks against a match that the class is another, and that the size (its logarithm)
 is; the latter up to a limit, as what is seen of a thing changes."""
+RIM_PX = 4
+HIDDEN_M = 0.05
+HIDDEN_SHARE = 0.05
+"""A thing's outline is cut when more than this share of what lies within RIM_PX of it is nearer than it by HIDDEN_M, or
+beyond the image."""
 CONFIRMED_VIEWS = 3
 """What was seen in fewer images may be a slip of the segmenter: it is not told of, and forgotten after SLIP_S."""
 SLIP_S = 1.0
@@ -227,11 +233,22 @@ def _sights(image: RgbdImage, depth_m: Array, T_map_camera: SE3, moving: Array) 
             sigma=0.004 + 0.002 * z**2,
             center=points.mean(axis=0),
             size=np.maximum(np.subtract(*np.percentile(points, (98, 2), axis=0)), 1e-3),
+            whole=_is_whole(own, depth),
             depth=np.ascontiguousarray(shown),
             intrinsics=_window_of(cut.intrinsics, window),
             range_m=range_m,
             T_map_camera=T_map_camera,
         )
+
+
+def _is_whole(own: Array, depth: Array) -> bool:
+    """Whether the outline of a piece (H, W) bool is seen: not cut by what is nearer, nor by the image's border."""
+    padded = np.pad(own, RIM_PX)
+    rim = binary_dilation(padded, iterations=RIM_PX) & ~padded
+    inside = rim[RIM_PX:-RIM_PX, RIM_PX:-RIM_PX]
+    nearer = inside & (depth > 0.0) & (depth < depth[own].min() - HIDDEN_M)
+    beyond = int(rim.sum()) - int(inside.sum())
+    return bool(nearer.sum() + beyond <= HIDDEN_SHARE * rim.sum())
 
 
 def _about(mask: Array, margin: int) -> tuple[slice, slice] | None:

@@ -55,9 +55,11 @@ MOST_POSES = 2048
 """When a trajectory has so many poses, every second one of its older half is dropped."""
 LOOSE_SHARE = 0.01
 """Of the surface, so much may stick out of the box at either end of each of eight level directions."""
-PLACE_SHARE = 0.15
-PLACE_M = 0.03
-"""The middle of what is seen of a thing lies so near to where it lay in the last image [share of its size, m]."""
+WHOLE_SHARE, WHOLE_M = 0.03, 0.02
+PART_SHARE, PART_M = 0.15, 0.03
+"""The middle of what is seen of a thing lies so near to where it lay in the last image [share of its size, m]: where
+the whole of its outline is seen in both images, and where not. This tells how a flat side slides along itself, which
+no alignment of surfaces does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +68,7 @@ class Sight:
 
     points     (n, 3) [m] in map; sigma (n,) [m] the noise of each
     center     (3,) [m] their mean;  size (3,) [m] their extent along the axes of map
+    whole      whether nothing before it and no border of the image cuts its outline
     depth      (h, w) float32 [m] of the part of the image about it, 0 where that is not the thing and not far behind
     intrinsics of that part;  range_m: the thing ends before this distance from the camera
     """
@@ -77,6 +80,7 @@ class Sight:
     sigma: Array
     center: Array
     size: Array
+    whole: bool
     depth: Array
     intrinsics: CameraIntrinsics
     range_m: float
@@ -113,7 +117,7 @@ class MovingThing:
         self._voxel_size_m = voxel_size_m
         self.motion = Motion.at_rest(sight.stamp_ns, SE3(np.eye(3), sight.center), 0.25 * voxel_size_m)
         self._stamps, self._poses = [sight.stamp_ns], [pose_row(self.motion.pose)]
-        self._center = np.zeros(3)  # of what was seen last, in the thing's frame
+        self._center, self._whole = np.zeros(3), sight.whole  # of what was seen last, in the thing's frame
         self._box: tuple[int, Box3d] | None = None
         self.model = self._empty_model()
         self._fuse(sight)
@@ -199,25 +203,31 @@ class MovingThing:
     # -- images -------------------------------------------------------------------------------------------
     def observe(self, sight: Sight) -> bool:
         """Take in a sight that is no older than the last one; returns whether it could be aligned to the model."""
-        foretold = self.motion.at(sight.stamp_ns)
+        foretold = self._placed(sight, self.motion.at(sight.stamp_ns))
         alignment = self._align(sight, foretold)
         self.views += 1
         self.labels[sight.label] = self.labels.get(sight.label, 0) + 1
         if alignment.trusted:
             self.motion = _corrected(foretold, alignment)
             self._misfits = 0
-            self._center = self.motion.pose.inverse() @ sight.center
+            self._center, self._whole = self.motion.pose.inverse() @ sight.center, sight.whole
             self._fuse(sight)
             self.fused += 1
         else:
-            off = sight.center - self.expected_center(foretold)
-            self.motion = foretold.given_place(off, PLACE_M + PLACE_SHARE * self.size_m)
+            self.motion = foretold
             self._misfits += 1
             if self._misfits >= BEGIN_ANEW_AFTER:
                 self._begin_anew(sight)
         self.size_m = max(self.size_m, float(np.linalg.norm(sight.size)))
         self._note()
         return alignment.trusted
+
+    def _placed(self, sight: Sight, foretold: Motion) -> Motion:
+        """The motion, knowing where the middle of what is seen lies."""
+        off = sight.center - self.expected_center(foretold)
+        whole = sight.whole and self._whole
+        sigma = WHOLE_M + WHOLE_SHARE * self.size_m if whole else PART_M + PART_SHARE * self.size_m
+        return foretold.given_place(off, sigma)
 
     def _align(self, sight: Sight, foretold: Motion) -> Alignment:
         """How the sight lies on the model: beginning where the thing was foretold; where that leads nowhere, the best
@@ -245,7 +255,7 @@ class MovingThing:
 
     def _begin_anew(self, sight: Sight) -> None:
         self.model, self._box, self._misfits = self._empty_model(), None, 0
-        self._center = self.motion.pose.inverse() @ sight.center
+        self._center, self._whole = self.motion.pose.inverse() @ sight.center, sight.whole
         self._fuse(sight)
 
     def _note(self) -> None:
@@ -275,7 +285,8 @@ class MovingThing:
     # -- state --------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:
         """Everything that is known of the thing, as named arrays."""
-        counts = [self.id, self.first_seen_ns, self.last_seen_ns, self.views, self.fused, self._misfits]
+        times = [self.first_seen_ns, self.last_seen_ns]
+        counts = [self.id, *times, self.views, self.fused, self._misfits, self._whole]
         return {
             "counts": np.array(counts, np.int64),
             "labels": np.array(list(self.labels.items()), np.int64).reshape(-1, 2),
@@ -289,7 +300,9 @@ class MovingThing:
     def from_state(cls, state: Mapping[str, Array]) -> MovingThing:
         """What `state` gave."""
         thing = cls.__new__(cls)
-        thing.id, thing.first_seen_ns, last, thing.views, thing.fused, thing._misfits = state["counts"].tolist()
+        counts = state["counts"].tolist()
+        thing.id, thing.first_seen_ns, last, thing.views, thing.fused, thing._misfits, whole = counts
+        thing._whole = bool(whole)
         thing.labels = dict(state["labels"].tolist())
         thing._stamps, thing._poses = state["stamps"].tolist(), list(np.array(state["poses"], np.float64))
         numbers = np.asarray(state["motion"], np.float64)
