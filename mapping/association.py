@@ -24,11 +24,13 @@ SAME_OVERLAP = 0.45
 OTHER_OVERLAP = 0.85
 """… from even odds at these sums of both, where the classes agree and where not."""
 LEAST_HITS = 5
-"""An overlap of fewer of the pixels looked at tells nothing."""
+"""An overlap of fewer pixels looked at tells nothing."""
 COVERED_SHARE = 0.6
 COVERED_PIXELS = 15
 """A mask that holds this share of what is visible of another instance, and this many of the pixels looked at, speaks
 for the two being one."""
+APART_SHARE = 0.5
+"""A mask that lies on an instance by this share, while that has another mask, speaks for the instance being two."""
 DOUBT_SHARE = 0.6
 DOUBT_PIXELS = 10
 """An instance without a mask of its own is doubted when other masks hold so much of what is visible of it."""
@@ -52,6 +54,11 @@ class Overlaps:
     same: Array
 
     @property
+    def of_mask(self) -> Array:
+        """(K,) the share of the mask that lies on the instance."""
+        return np.asarray(self.hits / np.maximum(self.looked[self.piece], 1))
+
+    @property
     def of_instance(self) -> Array:
         """(K,) the share of what is visible of the instance that lies under the mask."""
         return np.asarray(self.hits / np.maximum(self.visible, 1))
@@ -59,8 +66,7 @@ class Overlaps:
     @property
     def log_odds(self) -> Array:
         """(K,) logarithmic odds that the mask is the instance; −inf where too few pixels tell."""
-        both = self.hits / np.maximum(self.looked[self.piece], 1) + self.of_instance
-        odds = CERTAINTY * (both - np.where(self.same, SAME_OVERLAP, OTHER_OVERLAP))
+        odds = CERTAINTY * (self.of_mask + self.of_instance - np.where(self.same, SAME_OVERLAP, OTHER_OVERLAP))
         return np.where(self.hits >= LEAST_HITS, odds, -np.inf)
 
 
@@ -87,6 +93,14 @@ def covered(overlaps: Overlaps, ids: Array) -> list[tuple[int, int]]:
     much = (overlaps.hits >= COVERED_PIXELS) & (overlaps.of_instance >= COVERED_SHARE)
     alone = (mine != 0) & ~np.isin(overlaps.instance, ids)
     return list(zip(mine[much & alone].tolist(), overlaps.instance[much & alone].tolist(), strict=True))
+
+
+def apart(overlaps: Overlaps, ids: Array) -> list[tuple[int, int]]:
+    """Pairs of a mask, 0 … n − 1, and an instance on which it lies, though it is another and that has its own mask."""
+    mine = np.asarray(ids)[overlaps.piece]
+    other = (mine != 0) & (mine != overlaps.instance) & np.isin(overlaps.instance, ids)
+    much = other & (overlaps.hits >= COVERED_PIXELS) & (overlaps.of_mask >= APART_SHARE)
+    return list(zip(overlaps.piece[much].tolist(), overlaps.instance[much].tolist(), strict=True))
 
 
 def doubted(overlaps: Overlaps, ids: Array) -> list[int]:

@@ -16,7 +16,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapping.association import Overlaps, assign, covered, doubted
+from mapping.association import Overlaps, apart, assign, covered, doubted
 from mapping.errors import MappingError
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import ijk_to_centre, read_only
@@ -47,6 +47,8 @@ RIM_POWER = 6
 """A pixel's vote goes with this power of its trust, so that a voxel on a border belongs to what a near view saw there
 well inside a mask, rather than to what the rims of many masks say: these bleed, which no number of views averages
 out."""
+SPLIT_VIEWS = 3
+"""A second mask lies on an instance in so many images: from then on what is under such masks leaves it."""
 MEAN_MEMORY = 8.0
 """Votes (about: full views) over which a voxel's mean point is taken."""
 LEAST_WEIGHT = 0.01
@@ -57,8 +59,8 @@ FADED_WEIGHT = 0.01
 """A voxel that holds less than this as it fades is forgotten."""
 COUNTERS = 2
 """Instances that a voxel counts votes for, one by one."""
-LOOK_STEP = 2
-"""Every so many-th row and column of an image is looked at: at 5 m still more than one pixel a voxel of 2.5 cm."""
+SPARSE_RANGE_M = 5.0
+"""Every other row and column of an image is enough where that leaves a pixel a voxel at this distance."""
 
 
 @dataclass
@@ -68,6 +70,7 @@ class Instance:
     id      lasting; never given again
     views   images in which it had a mask;  doubts  those in which it was looked at and had none
     number  by which its voxels know it; given to another when it has gone
+    splits  images in which a second mask lay on it
     labels  class id → votes (about: full views)
     slots   blocks in which it may have voxels
     """
@@ -78,6 +81,7 @@ class Instance:
     views: int = 0
     doubts: int = 0
     number: int = 0
+    splits: int = 0
     labels: dict[int, float] = field(default_factory=dict)
     slots: set[int] = field(default_factory=set)
 
@@ -95,11 +99,13 @@ class Instance:
 class InstanceChange:
     """Instances that got or lost voxels, and those that were merged: lost id → kept id.
 
-    A touched instance that the map does not know any more has been given up.
+    A touched instance that the map does not know any more has been given up. `split`: instance → the one that it was
+    part of.
     """
 
     touched: frozenset[int]
     merged: dict[int, int]
+    split: dict[int, int] = field(default_factory=dict)
 
 
 class InstanceMap(PackedLayer):
@@ -131,7 +137,7 @@ class InstanceMap(PackedLayer):
         cells, owners, pixels, votes, offsets, blocks, bare = kernels.trace(
             store.table, store.masks, store.n_blocks, seen.pieces, seen.labels,
             np.ascontiguousarray(seen.trust, np.float32), depth_m, len(seen), DEPTH_NOISE, RIM_POWER,
-            camera_row(intrinsics), pose_rows(T_map_camera), self.voxel_size_m, LOOK_STEP,
+            camera_row(intrinsics), pose_rows(T_map_camera), self.voxel_size_m, self._step(intrinsics),
         )  # fmt: skip
         store.allocate(blocks)
         store.add(bare)
@@ -144,8 +150,13 @@ class InstanceMap(PackedLayer):
                 self._witness(instance_id, int(seen.label[piece]), int(seen.pixels[piece]), stamp_ns)
         numbers = [BACKGROUND, *(self.instances[i].number if i else 0 for i in ids.tolist()), 0]
         touched = self._vote(cells, np.array(numbers, np.uint16)[owners], votes, offsets)  # owner −1 is the last
+        split = self._split(apart(overlaps, ids), ids, cells, owners)
         merged = self._merge(together)
-        return InstanceChange(frozenset(touched | set(merged.values()) | self._give_up()), merged)
+        touched |= {*merged.values(), *split.values(), *self._give_up()}
+        return InstanceChange(frozenset(touched), merged, split)
+
+    def _step(self, intrinsics: CameraIntrinsics) -> int:
+        return 2 if 2.0 * SPARSE_RANGE_M <= self.voxel_size_m * min(intrinsics.fx, intrinsics.fy) else 1
 
     def _vote(self, cells: Array, choices: Array, votes: Array, offsets: Array) -> set[int]:
         """Count votes of runs of pixels for numbers (K,); returns the instances that got or lost voxels."""
@@ -232,6 +243,23 @@ class InstanceMap(PackedLayer):
                 merged[pair[1]] = pair[0]
         return merged
 
+    def _split(self, pairs: list[tuple[int, int]], ids: Array, cells: Array, owners: Array) -> dict[int, int]:
+        """Give what masks, by index, hold of instances that are seen elsewhere in the image to their own instances,
+        where that was seen before; returns new id → the one that it was part of."""
+        for instance_id in {whole for _, whole in pairs}:
+            self.instances[instance_id].splits += 1
+        split: dict[int, int] = {}
+        for piece, instance_id in pairs:
+            whole, part = self.instances[instance_id], self.instances[int(ids[piece])]
+            if whole.splits >= SPLIT_VIEWS:
+                mine = cells[owners == piece + 1]
+                kernels.rename(
+                    self.store.fields["evidence"], self._known_rows(mine), self._sizes, whole.number, part.number
+                )
+                part.slots.update(np.unique(mine >> 9).tolist())
+                split[part.id] = whole.id
+        return split
+
     def _give_up(self) -> set[int]:
         """Take back what is more doubted than seen, or has no voxels and was never confirmed; returns the ids."""
         gone = [
@@ -290,11 +318,11 @@ class InstanceMap(PackedLayer):
     def state(self) -> dict[str, Array]:
         known = list(self.instances.values())
         votes = [(i.id, label, weight) for i in known for label, weight in i.labels.items()]
-        rows = [(i.id, i.first_seen_ns, i.last_seen_ns, i.views, i.doubts, i.number) for i in known]
+        rows = [(i.id, i.first_seen_ns, i.last_seen_ns, i.views, i.doubts, i.number, i.splits) for i in known]
         return {
             **super().state(),
             "table.next_id": np.array(self._next_id),
-            "table.instances": np.array(rows, np.int64).reshape(-1, 6),
+            "table.instances": np.array(rows, np.int64).reshape(-1, 7),
             "table.votes": np.array(votes, np.float64).reshape(-1, 3),
             "table.together": np.array([(*pair, n) for pair, n in self._together.items()], np.int64).reshape(-1, 3),
         }
@@ -303,8 +331,8 @@ class InstanceMap(PackedLayer):
     def from_state(cls, state: Mapping[str, Array]) -> Self:
         layer = super().from_state(state)
         layer._next_id = int(state["table.next_id"])
-        for id_, first, last, views, doubts, number in state["table.instances"].tolist():
-            layer._begin(Instance(id_, first, last, views, doubts, number))
+        for id_, first, last, views, doubts, number, splits in state["table.instances"].tolist():
+            layer._begin(Instance(id_, first, last, views, doubts, number, splits))
         for id_, label, weight in state["table.votes"].tolist():
             layer.instances[int(id_)].labels[int(label)] = weight
         for a, b, n in state["table.together"].tolist():
@@ -383,6 +411,11 @@ class InstanceMap(PackedLayer):
         numbers = np.empty(len(rows), np.int64)
         kernels.numbers_of(self.store.fields["evidence"], rows, numbers)
         return numbers
+
+    def _known_rows(self, cells: Array) -> NDArray[np.int64]:
+        """The rows of those of the cells that have a record."""
+        rows = self.store.rows(np.unique(cells))
+        return rows[rows >= 0]
 
     def _rows(self, instance: Instance) -> tuple[Array, Array]:
         """Cells and rows (n,) of all records in the blocks of an instance."""

@@ -28,6 +28,7 @@ class Watching:
         self.scene = Scene((FLOOR, *blocks))
         self.map = InstanceMap(voxel_size_m=VOXEL)
         self.merged: dict[int, int] = {}
+        self.split: dict[int, int] = {}
         self.now = 0
         self.things = np.zeros(1 << 16, bool)
         for label in self.scene.classes:
@@ -47,6 +48,7 @@ class Watching:
         seen = segment(image, image.depth_m, self.things)
         change = self.map.integrate_image(seen, image.depth_m, CAMERA, image.T_map_camera or SE3.identity(), self.now)
         self.merged |= change.merged
+        self.split |= change.split
         return change.touched
 
     def around(self, turns: int = 8, radius: float = 1.4, **how: object) -> None:
@@ -167,6 +169,77 @@ def test_what_a_thing_left_behind_belongs_to_nobody_after_a_while() -> None:
     for _ in range(30):
         world.look((0.0, 1.4, 1.0))
     assert world.at(0.0, 0.0, 0.012) == 0, "the floor that was under it is seen"
+
+
+def test_what_was_taken_for_one_thing_is_split_when_it_is_seen_apart() -> None:
+    world = Watching(box("crate", -0.15, 0.0, 1), box("crate", 0.15, 0.0, 2))
+    world.around(8, masks={1: 5, 2: 5})
+    (whole,) = world.ids
+    world.split = {}
+    world.around(24)
+    assert set(world.split.values()) == {whole}
+    assert len(world.ids) == 2
+    left, right = world.at(-0.2, 0.0, 0.289), world.at(0.2, 0.0, 0.289)
+    assert {left, right} == set(world.ids)
+    sizes = [len(world.map.points(i)[0]) for i in (left, right)]
+    assert max(sizes) < 1.25 * min(sizes)
+
+
+def test_a_slip_of_the_segmenter_is_given_up_when_it_is_looked_at_again() -> None:
+    world = Watching(box("crate", -0.4, 0.0, 1), box("table", 0.2, 0.0, 2, (0.9, 0.9, 0.06)))
+    world.around(2)
+    crate, table = world.at(-0.4, 0.0, 0.289), world.at(0.2, 0.0, 0.058)
+    split = np.zeros((CAMERA.height, CAMERA.width), np.uint32)
+    split[:, CAMERA.width // 2 :] = 40  # half of the table is a thing of its own, once
+    world.now += 1
+    image = world.scene.image(looking_at((0.2, -1.4, 1.0), (0.2, 0.0, 0.1)), world.now)
+    assert image.instances is not None
+    given = np.where(image.instances == 2, image.instances + split, image.instances).astype(np.uint32)
+    seen = segment(image.model_copy(update={"instances": given}), image.depth_m, world.things)
+    world.map.integrate_image(seen, image.depth_m, CAMERA, image.T_map_camera or SE3.identity(), world.now)
+    slip = set(world.ids) - {crate, table}
+    assert len(slip) == 1
+    assert not slip & set(world.map.query(np.array([[0.3, 0.0, 0.058], [0.1, 0.0, 0.058]])).tolist())
+    touched: set[int] = set()
+    for _ in range(4):
+        touched |= world.look((0.2, -1.4, 1.0), (0.2, 0.0, 0.1))
+    assert world.ids == sorted({crate, table})
+    assert slip <= touched | set(world.merged)
+
+
+def test_fading_takes_voxels_away() -> None:
+    world = Watching(box("crate", 0.0, 0.0, 1))
+    world.around(4)
+    points, _ = world.map.points(1)
+    ijk = np.floor(points / VOXEL).astype(int)
+    high = points[:, 2] > 0.2
+    assert world.map.fade(ijk, high) == {1}
+    left = world.map.points(1)[0]
+    assert left[:, 2].max() < 0.21
+    assert world.at(0.0, 0.0, 0.288) == 0
+    assert world.map.fade(ijk, np.ones(len(ijk), bool)) == {1}
+    assert len(world.map.points(1)[0]) == 0
+    assert world.ids == [1], "it is known until it is forgotten or given up"
+    assert world.map.fade(np.empty((0, 3), int), np.empty(0, bool)) == set()
+    world.around(4)
+    assert world.at(0.0, 0.0, 0.288) != 0
+
+
+def test_voxels_tell_of_what_was_seen_more_than_once() -> None:
+    world = Watching(box("crate", 0.0, 0.0, 1))
+    world.look((1.4, 0.0, 1.0))
+    top = np.array([[0.0, 0.0, 0.288]])
+    voxel = np.floor(top / VOXEL).astype(int)
+    assert world.ids == [1]
+    assert world.map.query(top)[0] == 0
+    assert world.map.class_votes(voxel)[0][0] == 0
+    world.look((1.4, 0.3, 1.0))
+    assert world.map.query(top)[0] == 1
+    label, votes, others = world.map.class_votes(voxel)
+    assert label[0] == world.scene.id_of("crate")
+    assert votes[0] > others[0]
+    again, same_votes, _ = world.map.classes(voxel * VOXEL, (voxel + 1) * VOXEL)
+    assert (again[0], same_votes[0]) == (label[0], votes[0])
 
 
 def test_joined_and_forgotten_as_told() -> None:
