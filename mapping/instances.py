@@ -156,7 +156,7 @@ class InstanceMap(PackedLayer):
         return InstanceChange(frozenset(touched), merged, split)
 
     def _step(self, intrinsics: CameraIntrinsics) -> int:
-        return 2 if 2.0 * SPARSE_RANGE_M <= self.voxel_size_m * min(intrinsics.fx, intrinsics.fy) else 1
+        return 2 if self.voxel_size_m * min(intrinsics.fx, intrinsics.fy) >= 2.0 * SPARSE_RANGE_M else 1
 
     def _vote(self, cells: Array, choices: Array, votes: Array, offsets: Array) -> set[int]:
         """Count votes of runs of pixels for numbers (K,); returns the instances that got or lost voxels."""
