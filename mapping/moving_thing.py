@@ -129,6 +129,11 @@ class MovingThing:
         return min(self.labels, key=lambda c: (-self.labels[c], c))
 
     @property
+    def label_share(self) -> float:
+        """The share of the images that gave that class."""
+        return self.labels[self.label] / sum(self.labels.values())
+
+    @property
     def last_seen_ns(self) -> int:
         return self.motion.stamp_ns
 

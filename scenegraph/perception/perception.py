@@ -16,6 +16,7 @@ from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 from scenegraph.labels import Labels
 from scenegraph.perception.building import Building
+from scenegraph.perception.movers import move_nodes
 from scenegraph.perception.objects import Objects
 from scenegraph.perception.passages import Passages
 from scenegraph.perception.relations import MeasurementChange, Relations
@@ -58,6 +59,8 @@ class Perception:
 
         object_changes, reshaped = self.objects.update(self._map.instances, seen.instances, graph)
         changes.extend(object_changes)
+        mover_changes, moved = move_nodes(self._map.moving, seen.moving, self._labels.name, graph)
+        changes.extend(mover_changes)
         room_changes, moved_rooms = self.rooms.update(self._map.occupancy, seen.occupancy, labelled, graph, stamp_ns)
         changes.extend(_still_possible(room_changes, graph))
 
@@ -71,7 +74,10 @@ class Perception:
         _keep_told(changes, graph)
         measured = self.relations.update(self.objects.shapes, self.objects.labels, reshaped, self.building)
         measured.merge(self._room_shares(reshaped, moved_rooms))
-        self._meaning.infer(changes, measured, reshaped | moved_rooms, graph, source, stamp_ns)
+        for mover, node in moved.items():
+            shares = {} if node is None else self.rooms.shares(node.position[None, :2], float(node.position[2]))
+            measured.merge(self.relations.set_shares(mover, shares))
+        self._meaning.infer(changes, measured, reshaped | moved_rooms | moved.keys(), graph, source, stamp_ns)
         return changes
 
     def place_agent(self, observation: AgentPose, graph: SceneGraph) -> GraphChanges:
