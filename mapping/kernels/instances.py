@@ -87,11 +87,17 @@ def trace(
     per_voxel = 1.0 / voxel
     face = UNIT * step * step * per_voxel * per_voxel / (camera[0] * camera[1])
     spread = 2.0 * depth_noise * per_voxel
+    cx, per_fx = camera[2], 1.0 / camera[0]
+    x_x, x_y, x_z = pose[0, 0] * per_voxel, pose[1, 0] * per_voxel, pose[2, 0] * per_voxel  # axes and place of the
+    y_x, y_y, y_z = pose[0, 1] * per_voxel, pose[1, 1] * per_voxel, pose[2, 1] * per_voxel  # camera [voxels]
+    z_x, z_y, z_z = pose[0, 2] * per_voxel, pose[1, 2] * per_voxel, pose[2, 2] * per_voxel
+    eye_x, eye_y, eye_z = pose[0, 3] * per_voxel, pose[1, 3] * per_voxel, pose[2, 3] * per_voxel
     most = np.zeros(n_pieces + 1, np.float32)
     for v in range(0, height, step):
         for u in range(0, width, step):
             most[pieces[v, u]] = max(most[pieces[v, u]], trust[v, u])
     most[0] = 1.0
+    per_most = np.float32(1.0) / np.maximum(most, np.float32(1e-9))
     room = ((height + step - 1) // step) * ((width + step - 1) // step)
     cells, owners, pixels = np.empty(room, np.int64), np.empty(room, np.int32), np.empty(room, np.int64)
     votes, offsets, bare = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int64)
@@ -102,7 +108,8 @@ def trace(
     bk: Int = 1 << 30
     slot: Int = np.int64(-1)
     for v in range(0, height, step):
-        y_z = (v - camera[3]) / camera[1]
+        y = (v - camera[3]) / camera[1]
+        bx, by, bz = y * y_x + z_x, y * y_y + z_y, y * y_z + z_z
         at: Int = np.int64(-1)  # cell, owner and sums of the run that is going on
         whose: Int = np.int64(-1)
         count: Int = np.int64(0)
@@ -116,10 +123,8 @@ def trace(
                 owner = np.int64(pieces[v, u])
                 if owner == 0 and labels[v, u] == 0:
                     owner = np.int64(-1)
-                x, y = (u - camera[2]) / camera[0] * z, y_z * z
-                px = (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) * per_voxel
-                py = (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) * per_voxel
-                pz = (pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]) * per_voxel
+                x = (u - cx) * per_fx
+                px, py, pz = (x * x_x + bx) * z + eye_x, (x * x_y + by) * z + eye_y, (x * x_z + bz) * z + eye_z
                 i, j, k = np.int64(np.floor(px)), np.int64(np.floor(py)), np.int64(np.floor(pz))
                 fx, fy, fz = px - i - 0.5, py - j - 0.5, pz - k - 0.5
                 if i >> 3 != bi or j >> 3 != bj or k >> 3 != bk:
@@ -141,7 +146,7 @@ def trace(
                 weight = 0.0
                 if owner >= 0 and trust[v, u] > 0.0:
                     sigma = spread * z * z
-                    share: Float = np.float64(trust[v, u]) / most[owner]
+                    share: Float = np.float64(trust[v, u] * per_most[owner])
                     weight = face * z * z * most[owner] / (1.0 + sigma * sigma)
                     for _ in range(power):
                         weight *= share
