@@ -13,7 +13,7 @@ from mapping.errors import InvalidParameter
 from mapping.geometry import SE3
 from mapping.grid import ijk_to_centre
 from mapping.kernels import labelled as kernels
-from mapping.labelled import labels_of_cubes
+from mapping.labelled import labels_of_cubes, reach_of
 from mapping.mesh import Mesh
 from mapping.observations import Box3d
 from mapping.occupancy import OccupancyMap
@@ -46,7 +46,7 @@ class ClassHistogram:
     area_m2      (C,) surface of each, of the mesh that was given; None without one
     bare_m2      surface without a label
     occupied, free, unseen  voxels of the occupancy; unseen: never observed
-    unlabelled   occupied voxels in which no voxel has a label
+    unlabelled   occupied voxels without a label in or next to them
     """
 
     labels: NDArray[np.uint16]
@@ -78,12 +78,19 @@ def aligned_box(low: ArrayLike, high: ArrayLike) -> Box3d:
 
 
 def class_histogram(
-    box: OrientedBox, semantics: SemanticMap, occupancy: OccupancyMap, mesh: Mesh | None = None
+    box: OrientedBox,
+    semantics: SemanticMap,
+    occupancy: OccupancyMap,
+    mesh: Mesh | None = None,
+    *,
+    reach_m: float | None = None,
 ) -> ClassHistogram:
     """What a box in map holds, along the axes or turned.
 
-    mesh : with labels; then areas are told, too: a third of each triangle whose centre is in the box counts for
-           the class of each of its corners. Volumes of voxels tell less of surfaces, which pass one voxel or several.
+    mesh    : with labels; then areas are told, too: a third of each triangle whose centre is in the box counts for the
+              class of each of its corners. Volumes of voxels tell less of surfaces, which pass one voxel or several.
+    reach_m : an occupied voxel is unlabelled where no label is in it nor so near to its centre, see
+              `labels_of_cubes`; by default `mapping.labelled.REACH` voxels
 
     Raises `InvalidParameter` where the box holds more than MOST_VOXELS voxels or the mesh has no labels.
     """
@@ -93,10 +100,11 @@ def class_histogram(
     areas, bare = (None, None) if mesh is None else _areas(inside, mesh)
     if areas is not None:
         classes, voxels = _joined(classes, voxels, np.flatnonzero(areas[1:] > 0.0) + 1)
-    counts = np.zeros(3, np.int64)
-    unlabelled = 0
+    counts, unlabelled = np.zeros(3, np.int64), 0
+    size = occupancy.voxel_size_m
+    reach = reach_of(reach_m, size)
     for centres in _occupied(inside, occupancy, counts):
-        unlabelled += int((labels_of_cubes(centres, occupancy.voxel_size_m, semantics) == 0).sum())
+        unlabelled += int((labels_of_cubes(centres, size, semantics, reach_m=reach) == 0).sum())
     occupied, free, unseen = counts.tolist()
     return ClassHistogram(
         classes.astype(np.uint16),

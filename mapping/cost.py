@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapping.errors import InvalidParameter
 from mapping.grid import BLOCK_EDGE, BlockStore, as_points
-from mapping.labelled import labels_near, labels_within
+from mapping.labelled import labels_near, labels_within, reach_of
 from mapping.layer import Changed, require
 from mapping.observations import LabelSpace
 from mapping.occupancy import FREE, OCCUPIED, UNKNOWN, OccupancyMap
@@ -32,9 +32,6 @@ Rule: TypeAlias = Literal["max", "mean"]
 
 CHUNK = 256
 """Tiles that are looked at together."""
-REACH_VOXELS = 1.5
-"""Surfaces are thicker than what has labels, for depth is noisy: an occupied voxel without a label is taken for what
-the nearest label says that is not farther than so many voxels from its centre."""
 _DARKEST = 252
 """So much darker than white is the dearest finite cost: map_server makes 99 of it, and 100 of black."""
 
@@ -150,9 +147,10 @@ def semantic_cost(
     Voxels are those of `occupancy`, without it those of `labels`. Free space, of which only `occupancy` knows, costs
     `table.free`, whatever was once seen there. What is occupied or has a label costs what its class does, what has
     several, of finer voxels, as the dearest of them. An occupied voxel without a label costs what the nearest label
-    does that is not farther from its centre than `reach_m` (default REACH_VOXELS; 0: none), else `table.default`.
+    does that is not farther from its centre than `reach_m` (default `mapping.labelled.REACH` voxels; 0: none), else
+    `table.default`.
     """
-    reach = 0.0 if occupancy is None else _reach(reach_m, occupancy.voxel_size_m)
+    reach = 0.0 if occupancy is None else reach_of(reach_m, occupancy.voxel_size_m)
     cost = _look(p_map, labels, table, occupancy, reach)[0]
     return np.where(np.isnan(cost), table.unknown, cost)
 
@@ -296,7 +294,7 @@ class CostMap:
         self.known_share = require("known_share", known_share, 0.0, 1.0)
         self.labels, self.table, self.occupancy, self.rule = labels, table, occupancy, rule
         self.cell_size_m = labels.voxel_size_m if occupancy is None else occupancy.voxel_size_m
-        self._reach_m = 0.0 if occupancy is None else _reach(reach_m, self.cell_size_m)
+        self._reach_m = 0.0 if occupancy is None else reach_of(reach_m, self.cell_size_m)
         low, high = (float(z) for z in band_m)
         first, last = np.ceil(low / self.cell_size_m - 0.5), np.floor(high / self.cell_size_m - 0.5)
         if not (np.isfinite(low) and np.isfinite(high) and first <= last):
@@ -369,10 +367,6 @@ class CostMap:
             together = np.where(solid, cost, 0.0).sum(axis=2) / np.maximum(n, 1)
         empty = np.where((~np.isnan(cost)).mean(axis=2) >= self.known_share, self.table.free, np.nan)
         return np.where(n > 0, together, empty)
-
-
-def _reach(reach_m: float | None, voxel_size_m: float) -> float:
-    return REACH_VOXELS * voxel_size_m if reach_m is None else max(0.0, require("reach_m", reach_m, -1e-9, 10.0, "m"))
 
 
 def _cost(name: str, value: Any) -> float:

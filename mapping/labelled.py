@@ -30,6 +30,9 @@ Array: TypeAlias = NDArray[Any]
 UNSEEN, EMPTY, UNLABELLED, LABELLED = 0, 1, 2, 3
 """What is known of a place: nothing was ever observed there; it is free; there is a surface without a label; there is a
 class."""
+REACH = 1.5
+"""Surfaces are thicker than what has labels, for depth is noisy: a voxel of the occupancy without a label is taken for
+what the nearest label says that is not farther from its centre than so many of its edges."""
 _AT_ONCE = 1 << 20  # voxels that are looked at together
 
 
@@ -91,9 +94,12 @@ def labels_near(
     return labels, confidence
 
 
-def labels_of_cubes(centres: ArrayLike, edge_m: float, semantics: SemanticMap) -> NDArray[np.uint16]:
+def labels_of_cubes(
+    centres: ArrayLike, edge_m: float, semantics: SemanticMap, *, reach_m: float = 0.0
+) -> NDArray[np.uint16]:
     """The class id (N,) of cubes about `centres` (N, 3) [m]: that which most of the labelled voxels in it have, of
-    equally many the lowest; 0 where none has a label.
+    equally many the lowest; where none has a label, that of the nearest one not farther than `reach_m` from the centre,
+    else 0.
 
     For voxels of other layers, which are coarser than those of classes. Cubes should be whole numbers of voxels wide.
     """
@@ -101,7 +107,16 @@ def labels_of_cubes(centres: ArrayLike, edge_m: float, semantics: SemanticMap) -
     labels = np.zeros(len(middles), np.uint16)
     for chunk in _chunks(len(middles), _voxels_along(edge_m, semantics) ** 3):
         labels[chunk] = _most(labels_within(middles[chunk], edge_m, semantics))
+    bare = np.flatnonzero(labels == 0)
+    if reach_m > 0.0 and len(bare):
+        labels[bare] = labels_near(middles[bare], semantics, reach_m)[0]
     return labels
+
+
+def reach_of(reach_m: float | None, edge_m: float) -> float:
+    """How far [m] a label may be from a voxel of this edge: what is asked for, by default REACH. Raises
+    `InvalidParameter`."""
+    return REACH * edge_m if reach_m is None else max(0.0, require("reach_m", reach_m, -1e-9, 64.0 * edge_m, "m"))
 
 
 def labels_within(centres: Array, edge_m: float, semantics: SemanticMap) -> NDArray[np.uint16]:
@@ -236,18 +251,23 @@ def _move_to_means(points: Array, centres: Array, found: Array, semantics: Seman
 
 
 def class_colors(
-    semantics: SemanticMap, edge_m: float, palette: Palette | None = None
+    semantics: SemanticMap, edge_m: float, palette: Palette | None = None, *, reach_m: float | None = None
 ) -> Callable[[NDArray[np.float64]], NDArray[np.uint8]]:
-    """What gives the colour (N, 3) uint8 of cubes of edge `edge_m` about points (N, 3) [m]: that of their class, grey
-    where they have none."""
-    chosen = palette or Palette()
-    return lambda centres: chosen.of(labels_of_cubes(centres, edge_m, semantics))
+    """What gives the colour (N, 3) uint8 of cubes of edge `edge_m` about points (N, 3) [m]: that of their class, see
+    `labels_of_cubes`, grey where they have none. reach_m: by default REACH edges."""
+    chosen, reach = palette or Palette(), reach_of(reach_m, edge_m)
+    return lambda centres: chosen.of(labels_of_cubes(centres, edge_m, semantics, reach_m=reach))
 
 
 def write_class_octree(
-    occupancy: OccupancyMap, semantics: SemanticMap, path: str | Path, palette: Palette | None = None
+    occupancy: OccupancyMap,
+    semantics: SemanticMap,
+    path: str | Path,
+    palette: Palette | None = None,
+    *,
+    reach_m: float | None = None,
 ) -> None:
-    """Write an OctoMap file `.ot` with colours (`ColorOcTree`): free space, and each occupied voxel in the colour of
-    its class (`labels_of_cubes`), grey without one."""
-    colors = class_colors(semantics, occupancy.voxel_size_m, palette)
+    """Write an OctoMap file `.ot` with colours (`ColorOcTree`): free space, and each occupied voxel in the colour that
+    `class_colors` gives it, grey without a label."""
+    colors = class_colors(semantics, occupancy.voxel_size_m, palette, reach_m=reach_m)
     write_octomap(occupancy, path, colors=colors, split=True)

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from mapping.class_histogram import aligned_box, class_histogram
 from mapping.cost import CostMap, CostTable
-from mapping.labelled import labelled_cloud, labels_at, labels_near, labels_of_cubes, write_class_octree
+from mapping.labelled import class_colors, labelled_cloud, labels_at, labels_near, write_class_octree
 from mapping.layered import LayeredMap
 from mapping.palette import Palette
 from scenegraph import World
@@ -61,7 +61,7 @@ def test_coloured_octree(benchmark: BenchmarkFixture, table: Table, layers: Laye
 
     def leaf_by_leaf(n: int) -> None:
         tree = pyoctomap.ColorOcTree(layers.occupancy.voxel_size_m)
-        colors = PALETTE.of(labels_of_cubes(occupied, layers.occupancy.voxel_size_m, layers.semantics))
+        colors = class_colors(layers.semantics, layers.occupancy.voxel_size_m, PALETTE)(occupied)
         for point in free:
             tree.updateNode(point, False, True)
         for point, (red, green, blue) in zip(occupied, colors.tolist(), strict=True):

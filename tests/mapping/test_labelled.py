@@ -12,6 +12,7 @@ from mapping.errors import InvalidParameter
 from mapping.labelled import (
     EMPTY,
     LABELLED,
+    REACH,
     UNLABELLED,
     UNSEEN,
     labelled_cloud,
@@ -119,6 +120,17 @@ def test_cubes_have_the_class_that_most_of_their_voxels_have(seed: int, n: int) 
     labels = labels_of_cubes(low + n * FINE / 2, n * FINE, semantics)
     voxels = naive.labels_by_voxel(semantics)
     assert labels.tolist() == [naive.label_of_cube(corner, n, voxels, FINE) for corner in low]
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=seeds)
+def test_cubes_without_a_label_have_the_nearest_within_reach(seed: int) -> None:
+    semantics, _ = world(seed, n=25)
+    centres = (np.random.default_rng(seed).integers(-4, 4, (40, 3)) + 0.5) * COARSE
+    alone, reaching = (labels_of_cubes(centres, COARSE, semantics, reach_m=reach) for reach in (0.0, 0.15))
+    expected = np.where(alone != 0, alone, labels_near(centres, semantics, 0.15)[0])
+    assert np.array_equal(reaching, expected)
+    assert (reaching != alone).any()
 
 
 def test_cubes_of_too_many_voxels_are_refused() -> None:
@@ -245,7 +257,7 @@ def test_a_class_octree_opens_in_octomap_with_the_colour_of_each_class(table, tm
     tree = pyoctomap.ColorOcTree(0.2).read(str(tmp_path / "classes.ot"))
     assert tree.getResolution() == pytest.approx(0.05)
     centres = layers.occupancy.occupied_centres()
-    expected = palette.of(labels_of_cubes(centres, 0.05, layers.semantics))
+    expected = palette.of(labels_of_cubes(centres, 0.05, layers.semantics, reach_m=REACH * 0.05))
     assert len(np.unique(expected, axis=0)) > 2
     for centre, color in zip(centres, expected, strict=True):
         node = tree.search(centre)
@@ -262,7 +274,7 @@ def test_a_solid_block_of_two_classes_is_not_pruned_to_one_colour(tmp_path) -> N
     occupancy.assign(centres, np.full(len(centres), 127))
     labels = np.where(centres[:, 0] < 0.45, 1, np.where(centres[:, 1] < 0.15, 2, 0))
     semantics.integrate(centres, labels)
-    write_class_octree(occupancy, semantics, tmp_path / "block.ot")
+    write_class_octree(occupancy, semantics, tmp_path / "block.ot", reach_m=0.0)
     tree = pyoctomap.ColorOcTree(0.2).read(str(tmp_path / "block.ot"))
     assert [tuple(tree.search(c).getColor()) for c in centres] == [tuple(c) for c in Palette().of(labels)]
     assert sum(1 for _ in tree.begin_leafs()) < len(centres)  # what is alike is still one leaf
