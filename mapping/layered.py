@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
@@ -87,7 +88,7 @@ class LayeredMap:
         self.planes = PlaneMap(voxel_size_m)
         self.esdf = self._distance_field()
         self._images = 0
-        self._bleed = Bleed()
+        self._bleed: defaultdict[str, Bleed] = defaultdict(Bleed)  # of the masks of each sensor
 
     @property
     def layers(self) -> dict[str, MapLayer]:
@@ -100,7 +101,8 @@ class LayeredMap:
     def state(self) -> dict[str, dict[str, Array]]:
         """The arrays of all layers, by layer."""
         layers = {name: layer.state() for name, layer in self.layers.items()}
-        return {**layers, "moving": self.moving.state(), "planes": self.planes.state()}
+        rest = {"moving": self.moving.state(), "planes": self.planes.state(), "images": {"n": np.array(self._images)}}
+        return {**layers, **rest, "bleed": {sensor: bleed.masks for sensor, bleed in self._bleed.items()}}
 
     def restore(self, state: Mapping[str, Mapping[str, Array]]) -> None:
         """Take over what `state` gave."""
@@ -109,9 +111,10 @@ class LayeredMap:
         self.semantics = SemanticMap.from_state(state["semantics"])
         self.instances = InstanceMap.from_state(state["instances"])
         self.semantics.things = self.instances
-        if "moving" in state:  # maps that were saved by earlier versions have none
-            self.moving = MovingThings.from_state(state["moving"])
+        self.moving = MovingThings.from_state(state["moving"])
         self.planes.restore(state["planes"])
+        self._images = int(state["images"]["n"])
+        self._bleed.update({sensor: Bleed(masks) for sensor, masks in state.get("bleed", {}).items()})
         self.esdf = self._distance_field()
 
     def integrate_image(
@@ -161,7 +164,7 @@ class LayeredMap:
         if image.labels is None:
             return InstanceChange(frozenset(), {})
         near = self._near(depth_m)
-        seen = segment(image, near, things, self._bleed)
+        seen = segment(image, near, things, self._bleed[f"{image.robot}/{image.sensor}"])
         depth_m = np.empty_like(near)
         smooth_depth(near, *DEPTH_NOISE, depth_m)
         self.semantics.integrate_image(depth_m, seen.labels, seen.trust, image.intrinsics, T_map_camera)

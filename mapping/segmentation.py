@@ -83,8 +83,13 @@ class Segmentation:
 class Bleed:
     """How far the masks of one segmenter reach beyond their things, as far as images have shown."""
 
-    def __init__(self) -> None:
-        self._masks = np.zeros(2 * MOST_BLEED_PX)  # seen lately, by bleed [half pixels]
+    def __init__(self, masks: Array | None = None) -> None:
+        self._masks = np.zeros(2 * MOST_BLEED_PX) if masks is None else np.array(masks, np.float64)
+
+    @property
+    def masks(self) -> NDArray[np.float64]:
+        """How many masks were seen lately, by bleed [half pixels]: what makes another `Bleed` like this one."""
+        return self._masks.copy()
 
     @property
     def typical_px(self) -> float:
