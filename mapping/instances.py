@@ -40,13 +40,6 @@ not seen."""
 MERGE_VIEWS = 2
 MERGE_VIEWS_OTHER_CLASS = 3
 """One mask covers two instances in so many views, net of views in which both had masks of their own: they are one."""
-DEPTH_NOISE = 0.0019
-"""Depth is measured with a standard deviation of this times z² [1/m], as by structured light: where it is wider than a
-voxel, a pixel says little about which voxel it means."""
-RIM_POWER = 6
-"""A pixel's vote goes with this power of its trust, so that a voxel on a border belongs to what a near view saw there
-well inside a mask, rather than to what the rims of many masks say: these bleed, which no number of views averages
-out."""
 SPLIT_VIEWS = 3
 """A second mask lies on an instance in so many images: from then on what is under such masks leaves it."""
 MEAN_MEMORY = 8.0
@@ -130,13 +123,22 @@ class InstanceMap(PackedLayer):
         return {"voxel_size_m": self.voxel_size_m, "memory": self.memory}
 
     def integrate_image(
-        self, seen: Segmentation, depth_m: Array, intrinsics: CameraIntrinsics, T_map_camera: SE3, stamp_ns: int
+        self,
+        seen: Segmentation,
+        depth_m: Array,
+        intrinsics: CameraIntrinsics,
+        T_map_camera: SE3,
+        stamp_ns: int,
+        weights: Array | None = None,
     ) -> InstanceChange:
-        """Join the pieces of one image to lasting instances and count their votes."""
+        """Join the pieces of one image to lasting instances and count their votes.
+
+        depth_m (H, W) float32 [m]; weights (H, W) float32: what `seen.weights` gave for it, if that is there already
+        """
         store = self.store
         cells, owners, pixels, votes, offsets, blocks, bare = kernels.trace(
             store.table, store.masks, store.n_blocks, seen.pieces, seen.labels,
-            np.ascontiguousarray(seen.trust, np.float32), depth_m, len(seen), DEPTH_NOISE, RIM_POWER,
+            seen.weights(depth_m, self.voxel_size_m) if weights is None else weights, depth_m,
             camera_row(intrinsics), pose_rows(T_map_camera), self.voxel_size_m, self._step(intrinsics),
         )  # fmt: skip
         store.allocate(blocks)

@@ -125,11 +125,7 @@ class LayeredMap:
         things  (65536,) bool: class ids that have instances
         moving  (65536,) bool: class ids of what moves by itself and is to be left out of the map
         """
-        depth_m = image.depth_m
-        if moving is not None and image.labels is not None and moving.any():
-            mask = moving[image.labels]
-            if mask.any():
-                depth_m = np.where(beside(mask, MOVING_RIM_PX), np.float32(0.0), depth_m)
+        depth_m = image.depth_m if moving is None else self._still(image, T_map_camera, moving)
         T_map_camera = self._corrected(image, depth_m, T_map_camera)
         view = DepthView(depth_m, image.intrinsics, T_map_camera, self.max_range_m)
         occupancy = self.occupancy.integrate_view(view)
@@ -143,6 +139,17 @@ class LayeredMap:
         if self.follow_moving and moving is not None:
             followed = self.moving.integrate_image(image, self._near(image.depth_m), T_map_camera, moving)
         return MapChange(occupancy, tsdf, planes, instances, followed, T_map_camera)
+
+    def _still(self, image: RgbdImage, T_map_camera: SE3, moving: Array) -> Array:
+        """The depth image without what moves: what is labelled so, and what is where something that is followed should
+        be, whatever its label."""
+        mask = self.moving.foretold(image, T_map_camera)
+        if image.labels is not None and moving.any():
+            labelled = moving[image.labels]
+            mask = labelled if mask is None else mask | labelled
+        if mask is None or not mask.any():
+            return image.depth_m
+        return np.where(beside(mask, MOVING_RIM_PX), np.float32(0.0), image.depth_m)
 
     def _corrected(self, image: RgbdImage, depth_m: Array, T_map_camera: SE3) -> SE3:
         """The pose as the map corrects it, where it is uncertain."""
@@ -167,8 +174,10 @@ class LayeredMap:
         seen = segment(image, near, things, self._bleed[f"{image.robot}/{image.sensor}"])
         depth_m = np.empty_like(near)
         smooth_depth(near, *DEPTH_NOISE, depth_m)
-        self.semantics.integrate_image(depth_m, seen.labels, seen.trust, image.intrinsics, T_map_camera)
-        return self.instances.integrate_image(seen, depth_m, image.intrinsics, T_map_camera, image.stamp_ns)
+        weights = seen.weights(depth_m, self.semantics.voxel_size_m)
+        camera = image.intrinsics
+        self.semantics.integrate_image(depth_m, seen.labels, weights, camera, T_map_camera)
+        return self.instances.integrate_image(seen, depth_m, camera, T_map_camera, image.stamp_ns, weights)
 
     def _near(self, depth_m: Array) -> Array:
         return np.where(depth_m < self.label_range_m, depth_m, np.float32(0.0))

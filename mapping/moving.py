@@ -21,11 +21,11 @@ from scipy.ndimage import binary_dilation
 from scipy.optimize import linear_sum_assignment
 
 from mapping.errors import MappingError
-from mapping.geometry import SE3
+from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import as_points
 from mapping.layer import require
 from mapping.moving_thing import BEHIND_M, MOST_POINTS, MovingThing, Sight
-from mapping.observations import RgbdImage
+from mapping.observations import Box3d, RgbdImage
 from mapping.segmentation import segment
 
 Array: TypeAlias = NDArray[Any]
@@ -48,6 +48,10 @@ HIDDEN_M = 0.05
 HIDDEN_SHARE = 0.05
 """A thing's outline is cut when more than this share of what lies within RIM_PX of it is nearer than it by HIDDEN_M, or
 beyond the image."""
+FORETOLD_S = 0.5
+FORETOLD_STEP = 2
+"""A thing that was seen within this time is looked for even where it has no mask, in every so many-th row and
+column."""
 CONFIRMED_VIEWS = 3
 """What was seen in fewer images may be a slip of the segmenter: it is not told of, and forgotten after SLIP_S."""
 SLIP_S = 1.0
@@ -132,6 +136,31 @@ class MovingThings:
                 self._things[thing.id] = thing
                 self._next_id += 1
         return MovingChange(frozenset(touched & self.things.keys()), frozenset(self._forget()))
+
+    def foretold(self, image: RgbdImage, T_map_camera: SE3) -> Array | None:
+        """(H, W) bool: the pixels on things that were seen lately, where each is foretold, whether an image has masks
+        of them or not; None where there are none."""
+        lately = [
+            thing
+            for thing in self.things.values()
+            if abs(image.stamp_ns - thing.last_seen_ns) <= 1e9 * FORETOLD_S and thing.first_seen_ns <= image.stamp_ns
+        ]
+        if not lately:
+            return None
+        mask = np.zeros(image.depth.shape, np.bool_)
+        for thing in lately:
+            part = _window(thing.box_at(image.stamp_ns), image.intrinsics, T_map_camera)
+            if part is None:
+                continue
+            rows, columns = (slice(s.start, s.stop, FORETOLD_STEP) for s in part)
+            depth = image.depth_m[rows, columns]
+            points = (image.intrinsics.rays()[rows, columns] * depth[..., None])[depth > 0.0]
+            hit = np.zeros(depth.shape, np.bool_)
+            hit[depth > 0.0] = thing.covers((T_map_camera @ points).astype(np.float64), image.stamp_ns)
+            mask[part] |= np.kron(hit, np.ones((FORETOLD_STEP,) * 2, np.bool_))[
+                : mask[part].shape[0], : mask[part].shape[1]
+            ]
+        return mask
 
     def _forget(self) -> set[int]:
         """Forget slips of the segmenter and, of those that are gone, the oldest above the limit; returns the ids."""
@@ -241,6 +270,19 @@ def _sights(image: RgbdImage, depth_m: Array, T_map_camera: SE3, moving: Array) 
         )
 
 
+def _window(box: Box3d, camera: CameraIntrinsics, T_map_camera: SE3) -> tuple[slice, slice] | None:
+    """The rows and columns of an image in which a box in map may be seen; None where there are none."""
+    corners = 0.5 * box.size * np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    T_camera_box = T_map_camera.inverse() @ SE3.from_quaternion(box.rotation_wxyz, box.center)
+    pixels, z = camera.project(T_camera_box @ corners)
+    if not (z > 0.0).any():
+        return None
+    whole = np.array([[0.0, 0.0], [camera.width, camera.height]])
+    around = np.concatenate([pixels.min(axis=0) - MARGIN_PX, pixels.max(axis=0) + MARGIN_PX]).reshape(2, 2)
+    low, high = np.clip(around if (z > 0.0).all() else whole, whole[0], whole[1]).astype(int).tolist()
+    return (slice(low[1], high[1]), slice(low[0], high[0])) if low[0] < high[0] and low[1] < high[1] else None
+
+
 def _is_whole(own: Array, depth: Array) -> bool:
     """Whether the outline of a piece (H, W) bool is seen: not cut by what is nearer, nor by the image's border."""
     padded = np.pad(own, RIM_PX)
@@ -275,7 +317,7 @@ def _cut(image: RgbdImage, part: tuple[slice, slice]) -> RgbdImage:
     return image.model_copy(update=cut)
 
 
-def _window_of(camera: Any, part: tuple[slice, slice]) -> Any:
+def _window_of(camera: CameraIntrinsics, part: tuple[slice, slice]) -> CameraIntrinsics:
     """The camera of a part of its image."""
     rows, columns = part
     height = min(rows.stop, camera.height) - rows.start

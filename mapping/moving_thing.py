@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mapping.alignment import Alignment, align
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import as_points
 from mapping.kernels import columns, shapes
-from mapping.kernels import registration as kernels
 from mapping.motion import Motion, pose_of, pose_row
 from mapping.observations import Box3d
 from mapping.tsdf import TsdfMap
@@ -30,18 +30,6 @@ Array: TypeAlias = NDArray[Any]
 
 MOST_POINTS = 1200
 """So many points of a piece are aligned."""
-INDEPENDENT_POINTS = 100.0
-"""They tell as much as so many would that err each on its own: errors of a model and of a mask are shared by many."""
-ITERATIONS = 8
-STILL = 1e-4
-"""An alignment is done when a step is shorter than this [m, rad]."""
-HUBER = 2.0
-LEAST_KNOWN = 0.5
-"""An alignment is trusted when this share of the points falls where the model knows its surface …"""
-MOST_MISFIT_VOXELS = 0.5
-"""… lies on it to within so many voxels and the noise of depth, …"""
-MOST_SURPRISE = 16.0
-"""… and its squared distance from what was foretold, in standard deviations, is no more than this."""
 TURNED_RAD = 0.35
 YAWS = np.deg2rad([0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0])
 """When the rotation is not known to within TURNED_RAD any more, these turns are tried, too."""
@@ -53,6 +41,10 @@ BEHIND_M = 0.3
 """What lies farther behind the thing than this is free space to its model."""
 MOST_POSES = 2048
 """When a trajectory has so many poses, every second one of its older half is dropped."""
+NEAR_VOXELS = 2.0
+MOST_UNSURE_M = 0.05
+"""What lies within so many voxels of the model's surface, and the uncertainty of its pose up to this, is taken for the
+thing even where it has no mask."""
 LOOSE_SHARE = 0.01
 """Of the surface, so much may stick out of the box at either end of each of eight level directions."""
 WHOLE_SHARE, WHOLE_M = 0.03, 0.02
@@ -85,17 +77,6 @@ class Sight:
     intrinsics: CameraIntrinsics
     range_m: float
     T_map_camera: SE3
-
-
-@dataclass(frozen=True, eq=False)
-class Alignment:
-    """How points lie on a model: `offset` (6,) is the right perturbation that puts them there, `covariance` its error,
-    `cost` their mean distance from the surface [m], where those off the model count as far, and whether to trust it."""
-
-    offset: Array
-    covariance: Array
-    cost: float
-    trusted: bool
 
 
 class MovingThing:
@@ -199,11 +180,26 @@ class MovingThing:
     def holds(self, p_map: ArrayLike, stamp_ns: int) -> NDArray[np.bool_]:
         """Whether each point (N, 3) [m] lies in the thing as of a time: in its box, and not where its model is free."""
         p_thing = self.motion_at(stamp_ns).pose.inverse() @ as_points(p_map)
-        box, margin = self.box, 0.5 * self._voxel_size_m
-        p_box = SE3.from_quaternion(box.rotation_wxyz, box.center).inverse() @ p_thing
-        inside: NDArray[np.bool_] = np.all(np.abs(p_box) <= 0.5 * box.size + margin, axis=1)
+        margin = 0.5 * self._voxel_size_m
+        inside = self._in_box(p_thing, margin)
         inside[inside] = ~(self.model.query(p_thing[inside]) > margin)
         return inside
+
+    def _in_box(self, p_thing: Array, margin_m: float) -> NDArray[np.bool_]:
+        p_box = SE3.from_quaternion(self.box.rotation_wxyz, self.box.center).inverse() @ p_thing
+        inside: NDArray[np.bool_] = np.all(np.abs(p_box) <= 0.5 * self.box.size + margin_m, axis=1)
+        return inside
+
+    def covers(self, p_map: Array, stamp_ns: int) -> NDArray[np.bool_]:
+        """Whether each point (N, 3) [m] lies on the thing's surface as of a time, or as near to it as its pose is
+        uncertain."""
+        motion = self.motion_at(stamp_ns)
+        unsure = float(np.sqrt(motion.covariance[:3, :3].trace()))
+        margin = NEAR_VOXELS * self._voxel_size_m + min(unsure, MOST_UNSURE_M)
+        p_thing = motion.pose.inverse() @ p_map
+        near = self._in_box(p_thing, margin)
+        near[near] = np.abs(self.model.query(p_thing[near])) < margin
+        return near
 
     # -- images -------------------------------------------------------------------------------------------
     def observe(self, sight: Sight) -> bool:
@@ -242,13 +238,13 @@ class MovingThing:
         prior = to_thing @ foretold.covariance[:6, :6] @ to_thing.T
         up = foretold.pose.rotation.T @ (0.0, 0.0, 1.0)
         unsure = prior[3:, 3:].trace() > TURNED_RAD**2
-        found = [align(self.model, p_thing, sight.sigma, prior, SE3.identity())]
-        if unsure or not found[0].trusted:
-            for yaw in YAWS if unsure else YAWS[:1]:
-                turn = SE3.exp([0.0, 0.0, 0.0, *(yaw * up)]).rotation
-                start = SE3(turn, self._center - turn @ p_thing.mean(axis=0))
-                found.append(align(self.model, p_thing, sight.sigma, prior, start))
-        return min(found, key=lambda a: (not a.trusted, a.cost))
+        found = align(self.model, p_thing, sight.sigma, prior, [SE3.identity()])
+        if found.trusted and not unsure:
+            return found
+        turns = [SE3.exp([0.0, 0.0, 0.0, *(yaw * up)]).rotation for yaw in (YAWS if unsure else YAWS[:1])]
+        starts = [SE3(turn, self._center - turn @ p_thing.mean(axis=0)) for turn in turns]
+        again = align(self.model, p_thing, sight.sigma, prior, starts)
+        return min(found, again, key=lambda alignment: (not alignment.trusted, alignment.cost))
 
     def _fuse(self, sight: Sight) -> None:
         T_thing_camera = self.motion.pose.inverse() @ sight.T_map_camera
@@ -317,38 +313,6 @@ class MovingThing:
         thing.model = TsdfMap.from_state({k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)})
         thing._voxel_size_m, thing._box = thing.model.voxel_size_m, None
         return thing
-
-
-def align(model: TsdfMap, points: Array, sigma: Array, prior: Array, start: SE3) -> Alignment:
-    """Lay points (n, 3) [m] on the surface of a model, beginning with them moved by `start`.
-
-    sigma  (n,) [m] their noise;  prior  (6, 6) covariance of the perturbation about none at all [m, rad]
-    """
-    table, fields = model.store.table, model.store.fields
-    trust = np.linalg.inv(prior + 1e-12 * np.eye(6))
-    pose, used, misfit = start, 0, 0.0
-    information, vector = np.zeros((6, 6)), np.zeros(6)
-    for _ in range(ITERATIONS):
-        information[:], vector[:] = 0.0, 0.0
-        used, misfit = kernels.accumulate(
-            table, fields["distance"], fields["weight"], model.voxel_size_m, points, sigma,
-            np.ascontiguousarray(pose.matrix[:3]), HUBER, information, vector,
-        )  # fmt: skip
-        share = min(1.0, INDEPENDENT_POINTS / max(used, 1))
-        information *= share
-        step = np.linalg.solve(information + trust, share * vector - trust @ pose.log())
-        if np.abs(step).max() < STILL:
-            break
-        pose = pose @ SE3.exp(step)
-    far = 0.5 * model.truncation_m
-    cost = (used * min(misfit, far) + (len(points) - used) * far) / len(points)
-    offset = pose.log()
-    trusted = (
-        used >= LEAST_KNOWN * len(points)
-        and misfit < MOST_MISFIT_VOXELS * model.voxel_size_m + sigma.mean()
-        and offset @ trust @ offset < MOST_SURPRISE
-    )
-    return Alignment(offset, np.linalg.inv(information + trust), cost, bool(trusted))
 
 
 def _corrected(foretold: Motion, alignment: Alignment) -> Motion:

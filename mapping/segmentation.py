@@ -24,6 +24,8 @@ from mapping.observations import RgbdImage
 
 Array: TypeAlias = NDArray[Any]
 
+DEPTH_NOISE = 0.0019
+"""Depth is measured with a standard deviation of this times z² [1/m], as by structured light."""
 BLEED_PX = 8
 """How far masks may reach beyond their object [px]: segmenters bleed by some pixels at image resolution 640 × 480."""
 DEPTH_STEP_M = 0.02
@@ -49,6 +51,9 @@ BLEED_MEMORY = 50.0
 """The bleed of masks that show none is that of about so many others seen last."""
 DOUBT = 0.3
 """Trust, times this, where two masks touch on one surface: either may have bled over the other."""
+RIM_BLEEDS = 1.5
+"""Rims are doubtful for so many times what masks typically bleed, and a pixel, BLEED_PX at most: what was taken off a
+mask may have been too little."""
 LEAST_PIXELS = 40
 """A piece smaller than this says too little about where a thing is."""
 PART_SHARE = 0.1
@@ -65,7 +70,7 @@ class Segmentation:
     """The labelled part of one image.
 
     labels  (H, W) uint16: class ids of pixels to be believed, 0 elsewhere
-    trust   (H, W) float32 in 0 … 1
+    trust   (H, W) float32 in 0 … 1: less at the rims of masks, as far as they bleed, and as the segmenter says
     pieces  (H, W) int32: 1 … n on pieces of things, 0 elsewhere
     label   (n,) class id of each piece;  pixels (n,) its size
     """
@@ -79,6 +84,17 @@ class Segmentation:
     def __len__(self) -> int:
         return len(self.label)
 
+    def weights(self, depth_m: Array, voxel_size_m: float) -> NDArray[np.float32]:
+        """What each pixel's vote for a voxel weighs, (H, W) in 0 … 1; depth (H, W) float32 [m].
+
+        With the sixth power of its trust, so that a voxel on a border belongs to what a near view saw there well inside
+        a mask, rather than to what the rims of many masks say; and little where depth is so uncertain that the pixel
+        may mean another voxel.
+        """
+        found = np.empty(depth_m.shape, np.float32)
+        kernels.weigh(self.pieces, self.trust, depth_m, len(self), DEPTH_NOISE, voxel_size_m, found)
+        return found
+
 
 class Bleed:
     """How far the masks of one segmenter reach beyond their things, as far as images have shown."""
@@ -90,6 +106,12 @@ class Bleed:
     def masks(self) -> NDArray[np.float64]:
         """How many masks were seen lately, by bleed [half pixels]: what makes another `Bleed` like this one."""
         return self._masks.copy()
+
+    @property
+    def rim_px(self) -> float:
+        """How far from its border a mask is in doubt, once what it bleeds was taken off: as far as masks may reach
+        where none has shown anything yet."""
+        return min(1.0 + RIM_BLEEDS * self.typical_px, float(BLEED_PX)) if self._masks.any() else float(BLEED_PX)
 
     @property
     def typical_px(self) -> float:
@@ -133,7 +155,8 @@ def segment(image: RgbdImage, depth_m: Array, things: Array, bleed: Bleed | None
     )
     pixel_m = 1.0 / image.intrinsics.fx
     borders = find_borders(mask)
-    bleed_px = (Bleed() if bleed is None else bleed).measure(mask, borders, len(names), depth, pixel_m)
+    bleed = Bleed() if bleed is None else bleed
+    bleed_px = bleed.measure(mask, borders, len(names), depth, pixel_m)
     doubtful = np.zeros(shape, np.uint8)
     take_off(mask, doubtful, borders, depth, bleed_px, RIM_SHARE, DEPTH_STEP_M, RIM_SLOPE, pixel_m)
 
@@ -156,7 +179,7 @@ def segment(image: RgbdImage, depth_m: Array, things: Array, bleed: Bleed | None
     labels, trust = np.empty(shape, np.uint16), np.empty(shape, np.float32)
     confidence = _image(image.label_confidence, (0, 0), np.float32)
     kernels.believe(
-        pieces, labels, trust, number, class_of_mask, mask, depth, distance, BLEED_PX, doubtful, DOUBT, confidence
+        pieces, labels, trust, number, class_of_mask, mask, depth, distance, bleed.rim_px, doubtful, DOUBT, confidence
     )
     return Segmentation(labels, trust, pieces, class_of_group[large], pixels[large])
 

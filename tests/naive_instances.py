@@ -70,9 +70,3 @@ class Ballots:
             return 0, 0, total
         best = min(named, key=lambda c: (-named[c], c))
         return best, named[best], total - named[best]
-
-
-def weight(trust: float, most: float, depth: float, depth_noise: float, voxel: float, power: int) -> float:
-    """What a full view of a pixel counts."""
-    sigma = depth_noise * depth**2
-    return most * (trust / most) ** power / (1.0 + (2.0 * sigma / voxel) ** 2)

@@ -126,3 +126,9 @@ def widened(
         }
         out[v][u] = fits
     return out
+
+
+def weight(trust: float, most: float, depth: float, depth_noise: float, voxel: float) -> float:
+    """What a full view of a pixel counts."""
+    sigma = depth_noise * depth**2
+    return most * (trust / most) ** 6 / (1.0 + (2.0 * sigma / voxel) ** 2)

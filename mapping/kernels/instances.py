@@ -56,11 +56,8 @@ def trace(
     n_blocks: Int,
     pieces: Array,
     labels: Array,
-    trust: Array,
+    weights: Array,
     depth: Array,
-    n_pieces: Int,
-    depth_noise: Float,
-    power: Int,
     camera: Array,
     pose: Array,
     voxel: Float,
@@ -69,13 +66,11 @@ def trace(
     """Runs of pixels along the rows of an image that lie in one voxel and belong to one piece.
 
     table, masks, n_blocks: of the store
-    pieces (H, W) int32: 1 … n_pieces, 0 = none; labels (H, W) uint16, 0 = none; trust (H, W) float32 in 0 … 1
-    depth (H, W) float32 [m] with a standard deviation of depth_noise · depth²
+    pieces (H, W) int32 from 1 on, 0 = none; labels (H, W) uint16, 0 = none
+    weights (H, W) float32: what a full view of a voxel counts; depth (H, W) float32 [m]
     camera (4,) fx, fy, cx, cy; pose (3, 4) camera in map; voxel: edge [m]; step: every n-th row and column is looked at
 
-    A pixel counts the share of a voxel's face that it stands for, (step · z/f)² / v², times
-    most(piece) · (trust / most(piece)) ^ power / (1 + (2σ / voxel)²), with the most trust that any pixel of its piece
-    has (1 without a piece), and σ the standard deviation of its depth.
+    A pixel counts the share of a voxel's face that it stands for, (step · z/f)² / v², times its weight.
 
     Returns of each run: cells (K,) int64; owners (K,) int32: the piece, 0 for a label without a piece, −1 for no label;
     pixels (K,) int64 looked at; votes (K,) int64 [1/UNIT], rounded up and down in turn; offsets (K, 3) float32 of their
@@ -86,18 +81,11 @@ def trace(
     height, width = depth.shape
     per_voxel = 1.0 / voxel
     face = UNIT * step * step * per_voxel * per_voxel / (camera[0] * camera[1])
-    spread = 2.0 * depth_noise * per_voxel
     cx, per_fx = camera[2], 1.0 / camera[0]
     x_x, x_y, x_z = pose[0, 0] * per_voxel, pose[1, 0] * per_voxel, pose[2, 0] * per_voxel  # axes and place of the
     y_x, y_y, y_z = pose[0, 1] * per_voxel, pose[1, 1] * per_voxel, pose[2, 1] * per_voxel  # camera [voxels]
     z_x, z_y, z_z = pose[0, 2] * per_voxel, pose[1, 2] * per_voxel, pose[2, 2] * per_voxel
     eye_x, eye_y, eye_z = pose[0, 3] * per_voxel, pose[1, 3] * per_voxel, pose[2, 3] * per_voxel
-    most = np.zeros(n_pieces + 1, np.float32)
-    for v in range(0, height, step):
-        for u in range(0, width, step):
-            most[pieces[v, u]] = max(most[pieces[v, u]], trust[v, u])
-    most[0] = 1.0
-    per_most = np.float32(1.0) / np.maximum(most, np.float32(1e-9))
     room = ((height + step - 1) // step) * ((width + step - 1) // step)
     cells, owners, pixels = np.empty(room, np.int64), np.empty(room, np.int32), np.empty(room, np.int64)
     votes, offsets, bare = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int64)
@@ -144,12 +132,8 @@ def trace(
                 if slot >= 0:
                     cell = slot << 9 | (i & 7) << 6 | (j & 7) << 3 | (k & 7)
                 weight = 0.0
-                if owner >= 0 and trust[v, u] > 0.0:
-                    sigma = spread * z * z
-                    share: Float = np.float64(trust[v, u] * per_most[owner])
-                    weight = face * z * z * most[owner] / (1.0 + sigma * sigma)
-                    for _ in range(power):
-                        weight *= share
+                if owner >= 0:
+                    weight = face * z * z * weights[v, u]
             if cell != at or owner != whose:
                 if at >= 0:
                     cells[n], owners[n], pixels[n] = at, whose, count

@@ -310,7 +310,7 @@ def believe(
     mask: Array,
     depth: Array,
     distance: Array,
-    bleed_px: float,
+    rim_px: float,
     doubtful: Array,
     doubt: float,
     confidence: Array,
@@ -320,11 +320,11 @@ def believe(
     pieces     : (H, W) int32, renumbered by `number` (n_groups + 1,) int32
     labels     : (H, W) uint16, filled: where there is depth, of the background and of the masks of pieces, by
                  `class_of` (n_masks + 1,) uint16; 0 elsewhere
-    trust      : (H, W) float32, filled: full where `distance` (H, W) uint8 [px] is bleed_px, less at boundaries; times
+    trust      : (H, W) float32, filled: full where `distance` (H, W) uint8 [px] is rim_px, less at boundaries; times
                  `doubt` where `doubtful` (H, W) uint8; times `confidence` (H, W) float32, size 0 to do without
     """
     height, width = mask.shape
-    per_px = np.float32(1.0 / bleed_px)
+    per_px = np.float32(1.0 / rim_px)
     for v in range(height):
         for u in range(width):
             m = mask[v, u]
@@ -341,3 +341,30 @@ def believe(
             trust[v, u] = sure * np.float32(doubt) if doubtful[v, u] else sure
     if confidence.size:
         trust *= confidence
+
+
+@njit(cache=True)
+def weigh(
+    pieces: Array, trust: Array, depth: Array, n_pieces: int, depth_noise: float, voxel: float, weights: Array
+) -> None:
+    """What each pixel's vote for a voxel weighs, filled into weights (H, W) float32.
+
+    pieces (H, W) int32: 1 … n_pieces, 0 = none; trust (H, W) float32 in 0 … 1
+    depth  (H, W) float32 [m] with a standard deviation σ = depth_noise · depth²; voxel: edge [m]
+
+    most · (trust / most)⁶ / (1 + (2σ / voxel)²), with the most trust that any pixel of its piece has (without one: 1).
+    """
+    height, width = depth.shape
+    most = np.zeros(n_pieces + 1, np.float32)
+    for v in range(height):
+        for u in range(width):
+            most[pieces[v, u]] = max(most[pieces[v, u]], trust[v, u])
+    most[0] = np.float32(1.0)
+    per_most = np.float32(1.0) / np.maximum(most, np.float32(1e-9))
+    spread, one = np.float32((2.0 * depth_noise / voxel) ** 2), np.float32(1.0)
+    for v in range(height):
+        for u in range(width):
+            piece, z = pieces[v, u], depth[v, u]
+            share = trust[v, u] * per_most[piece]
+            cube = share * share * share
+            weights[v, u] = most[piece] * cube * cube / (one + spread * z * z * z * z)

@@ -17,12 +17,11 @@ from mapping.kernels import instances as kernels
 from mapping.kernels.instances import BACKGROUND, MEAN_UNIT
 from mapping.packed import PackedStore
 from mapping.semantics import camera_row, pose_rows
-from tests.naive_instances import Ballots, weight
+from tests.naive_instances import Ballots
 
 CAMERA = CameraIntrinsics(fx=11.0, fy=12.0, cx=5.3, cy=4.1, width=12, height=9)
 SHAPE = (CAMERA.height, CAMERA.width)
 VOXEL = 0.13
-NOISE, POWER = 0.0019, 3
 CLASS_OF = {1: 7, 2: 7, 3: 5}
 
 seeds = st.integers(0, 10**6)
@@ -49,11 +48,11 @@ class Voting:
         self.depth = np.where(rng.random(SHAPE) < 0.2, 0.0, rng.uniform(0.6, 1.4, SHAPE)).astype(np.float32)
         self.pieces = np.repeat(rng.integers(0, 3, (SHAPE[0], 4)), 3, axis=1).astype(np.int32)
         self.labels = np.where((self.pieces == 0) & (rng.random(SHAPE) < 0.3), 0, 7).astype(np.uint16)
-        self.trust = np.where(rng.random(SHAPE) < 0.1, 0.0, rng.random(SHAPE)).astype(np.float32)
+        self.weights = np.where(rng.random(SHAPE) < 0.1, 0.0, rng.random(SHAPE)).astype(np.float32)
         self.eye = pose.translation / VOXEL
         traced = kernels.trace(
-            store.table, store.masks, store.n_blocks, self.pieces, self.labels, self.trust, self.depth, 2, NOISE, POWER,
-            self.camera, self.rows, VOXEL, 1,
+            store.table, store.masks, store.n_blocks, self.pieces, self.labels, self.weights, self.depth, self.camera,
+            self.rows, VOXEL, 1,
         )  # fmt: skip
         self.cells, self.owners, self.pixels, self.votes, self.offsets, blocks, bare = traced
         store.allocate(blocks)
@@ -106,13 +105,12 @@ def test_runs_hold_what_their_pixels_count(seed: int) -> None:
     """Summed over runs and over pixels, each voxel and piece has the same pixels, votes and mean point."""
     voting = Voting(seed, images=1)
     face = evidence.UNIT / (CAMERA.fx * CAMERA.fy * VOXEL**2)
-    most = [1.0, *(float(voting.trust[voting.pieces == p].max(initial=0.0)) for p in (1, 2))]
     pixels, votes, sums = Counter[Any](), Counter[Any](), defaultdict[Any, Any](float)
     for at in zip(*np.nonzero(voting.depth), strict=True):
-        piece, trust, z = int(voting.pieces[at]), float(voting.trust[at]), float(voting.depth[at])
+        piece, z = int(voting.pieces[at]), float(voting.depth[at])
         if piece or voting.labels[at]:
             key = (*voting.twin.at(voting.points[at]), piece)
-            count = face * z * z * weight(trust, most[piece], z, NOISE, VOXEL, POWER) if trust else 0.0
+            count = face * z * z * float(voting.weights[at])
             pixels[key] += 1
             votes[key] += count
             sums[key] += count * voting.points[at]

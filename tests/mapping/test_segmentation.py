@@ -145,6 +145,20 @@ def test_what_is_believed_of_each_pixel_is_as_said(
         assert np.isclose(trust[p], sure * (confidence[p] if confident else 1.0))
 
 
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_a_vote_weighs_as_said(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pieces, trust = rng.integers(0, 3, (6, 8)).astype(np.int32), rng.uniform(0.05, 1.0, (6, 8)).astype(np.float32)
+    depth = rng.uniform(0.3, 5.0, (6, 8)).astype(np.float32)
+    weights = np.empty_like(depth)
+    kernels.weigh(pieces, trust, depth, 2, 0.0019, 0.025, weights)
+    most = [1.0, *(float(trust[pieces == p].max(initial=0.0)) for p in (1, 2))]
+    for p in np.ndindex(depth.shape):
+        expected = segments.weight(float(trust[p]), most[pieces[p]], float(depth[p]), 0.0019, 0.025)
+        assert np.isclose(weights[p], expected, rtol=1e-4)
+
+
 def image(depth: np.ndarray, labels: np.ndarray, instances: np.ndarray | None = None, **fields: object) -> RgbdImage:
     return RgbdImage(
         stamp_ns=1, robot="r", sensor="c", depth=depth.astype(np.float32), intrinsics=CAMERA,
