@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapping.alignment import Alignment, align
+from mapping.alignment import CLEARLY, Alignment, align
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import as_points
 from mapping.kernels import columns, shapes
@@ -50,8 +50,8 @@ LOOSE_SHARE = 0.01
 WHOLE_SHARE, WHOLE_M = 0.03, 0.02
 PART_SHARE, PART_M = 0.15, 0.03
 """The middle of what is seen of a thing lies so near to where it lay in the last image [share of its size, m]: where
-the whole of its outline is seen in both images, and where not. This tells how a flat side slides along itself, which
-no alignment of surfaces does."""
+the whole of its outline is seen in both images, and where not. The former tells how a flat side slides along itself,
+which no alignment of surfaces does; the latter, where a thing goes behind another, tells less than an alignment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +204,10 @@ class MovingThing:
     # -- images -------------------------------------------------------------------------------------------
     def observe(self, sight: Sight) -> bool:
         """Take in a sight that is no older than the last one; returns whether it could be aligned to the model."""
-        foretold = self._placed(sight, self.motion.at(sight.stamp_ns))
+        foretold = self.motion.at(sight.stamp_ns)
+        whole = sight.whole and self._whole
+        if whole:
+            foretold = self._placed(sight, foretold, WHOLE_M + WHOLE_SHARE * self.size_m)
         alignment = self._align(sight, foretold)
         self.views += 1
         self.labels[sight.label] = self.labels.get(sight.label, 0) + 1
@@ -215,7 +218,7 @@ class MovingThing:
             self._fuse(sight)
             self.fused += 1
         else:
-            self.motion = foretold
+            self.motion = foretold if whole else self._placed(sight, foretold, PART_M + PART_SHARE * self.size_m)
             self._misfits += 1
             if self._misfits >= BEGIN_ANEW_AFTER:
                 self._begin_anew(sight)
@@ -223,12 +226,9 @@ class MovingThing:
         self._note()
         return alignment.trusted
 
-    def _placed(self, sight: Sight, foretold: Motion) -> Motion:
-        """The motion, knowing where the middle of what is seen lies."""
-        off = sight.center - self.expected_center(foretold)
-        whole = sight.whole and self._whole
-        sigma = WHOLE_M + WHOLE_SHARE * self.size_m if whole else PART_M + PART_SHARE * self.size_m
-        return foretold.given_place(off, sigma)
+    def _placed(self, sight: Sight, foretold: Motion, sigma_m: float) -> Motion:
+        """The motion, knowing where the middle of what is seen lies, to within `sigma_m`."""
+        return foretold.given_place(sight.center - self.expected_center(foretold), sigma_m)
 
     def _align(self, sight: Sight, foretold: Motion) -> Alignment:
         """How the sight lies on the model: beginning where the thing was foretold; where that leads nowhere, the best
@@ -237,14 +237,14 @@ class MovingThing:
         to_thing = np.kron(np.eye(2), foretold.pose.rotation.T)
         prior = to_thing @ foretold.covariance[:6, :6] @ to_thing.T
         up = foretold.pose.rotation.T @ (0.0, 0.0, 1.0)
-        unsure = prior[3:, 3:].trace() > TURNED_RAD**2
+        unsure = sight.whole and prior[3:, 3:].trace() > TURNED_RAD**2
         found = align(self.model, p_thing, sight.sigma, prior, [SE3.identity()])
         if found.trusted and not unsure:
             return found
         turns = [SE3.exp([0.0, 0.0, 0.0, *(yaw * up)]).rotation for yaw in (YAWS if unsure else YAWS[:1])]
         starts = [SE3(turn, self._center - turn @ p_thing.mean(axis=0)) for turn in turns]
         again = align(self.model, p_thing, sight.sigma, prior, starts)
-        return min(found, again, key=lambda alignment: (not alignment.trusted, alignment.cost))
+        return again if (not again.trusted, again.cost) < (not found.trusted, CLEARLY * found.cost) else found
 
     def _fuse(self, sight: Sight) -> None:
         T_thing_camera = self.motion.pose.inverse() @ sight.T_map_camera

@@ -174,15 +174,43 @@ def test_who_was_away_for_long_comes_back_as_another_and_is_not_forgotten() -> N
 
 # -- masks that are missed -----------------------------------------------------------------------------------
 def test_missed_masks_leave_a_trail_that_clearing_erases() -> None:
-    stage = Stage((Mover(turning),))
+    stage = Stage((Mover(turning),), "leave_out")
     stage.run(1.5)
     stage.run(0.3, hide=[1])
     assert sum(stage.trail()) > 30
     stage.run(2.7)
     assert stage.trail() == (0, 0)
-    assert stage.labelled("robot") == 0
+
+
+@pytest.mark.parametrize("how", ["no mask", "a wrong class", "no labels at all"])
+def test_what_is_followed_leaves_no_trail_where_its_mask_is_missed(how: str) -> None:
+    stage = Stage((Mover(turning),))
+    stage.run(1.5)
+    for _ in range(3):
+        image = stage.image(stage.t, hide=[1] if how == "no mask" else ())
+        labels = image.labels
+        if how == "a wrong class":
+            labels = np.where(labels == ROBOT, np.uint16(LABELS.index("shelf") + 1), labels)
+        stage.take(image.model_copy(update={"labels": None if how == "no labels at all" else labels}))
+        stage.t = round(stage.t + 1.0 / HZ, 6)
+    assert sum(stage.trail()) < 5
+    assert stage.labelled("shelf") < 5
+    stage.run(1.0)
     (thing,) = stage.map.moving.things.values()
-    assert thing.views == 42, "it is still the same"
+    assert thing.views == 25, "it is still the same"
+    assert thing.fused > 23
+    middle = stage.movers[0].pose(stage.last).translation
+    assert np.linalg.norm(thing.box_at(thing.last_seen_ns).center - middle) < 2.0 * FINE
+
+
+def test_where_a_mover_was_long_ago_the_map_is_made_again() -> None:
+    stage = Stage((Mover(lambda t: (0.3, 0.5, 0.0)),))
+    stage.run(1.0)
+    stage.movers = ()
+    stage.extra = (Block("shelf", (0.3, 0.5, 0.4), (0.5, 0.35, 0.8), 7),)
+    stage.t += 1.0
+    stage.run(0.5)
+    assert stage.labelled("shelf") > 300
 
 
 # -- time and state ------------------------------------------------------------------------------------------
