@@ -1,20 +1,24 @@
 """Which voxels of a surface are no longer there: a later image sees through them, and the occupancy map agrees.
 
-What was flatter than a voxel of the occupancy map and lay on something is not told from what it lay on: it does not
-fade, it is outvoted where the surface below falls into the same voxels.
+What lay nearer than a voxel of the occupancy map to what is still there is not told from it. Of a thing that has gone,
+such a rest is let go when most of the thing has faded; a thing that was all as flat as that does not fade, it is
+outvoted where the surface below falls into the same voxels.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.grid import ijk_to_centre
+from mapping.grid import ijk_to_centre, point_to_ijk
+from mapping.instances import InstanceMap
 from mapping.kernels import clearing as kernels
 from mapping.occupancy import OccupancyMap
 from mapping.packed import PackedStore
+from mapping.semantics import SemanticMap
 from mapping.view import DepthView
 
 Array: TypeAlias = NDArray[Any]
@@ -27,6 +31,56 @@ MARGIN_RAD = 0.009
 """… in the pixels so far to the left and right, above and below, too (one pixel at least): about what a pose errs."""
 TURNS = 3
 """Of all blocks, one image looks at every so-manieth."""
+REST_SHARE = 0.25
+"""When no more than this share is left of a thing that faded and was not seen meanwhile, the rest goes, too."""
+
+
+class Clearing:
+    """Lets go of what classes and instances know of voxels through which images see."""
+
+    def __init__(self) -> None:
+        self._images = 0
+        self._faded: dict[int, tuple[int, int]] = {}  # instance → when it was seen last, voxels that it lost since
+
+    def update(
+        self, view: DepthView, occupancy: OccupancyMap, semantics: SemanticMap, instances: InstanceMap
+    ) -> set[int]:
+        """Let fade what one image sees through; returns the instances that lost voxels, among them those that are given
+        up."""
+        self._images += 1
+        voxels, sure = seen_through(view, semantics.store, occupancy, turn=self._images)
+        if len(voxels):
+            semantics.fade(voxels, sure)
+        voxels, sure = seen_through(view, instances.store, occupancy, turn=self._images)
+        if not len(voxels):
+            return set()
+        before = {i: instances.n_voxels(i) for i in instances.instances}
+        faded = instances.fade(voxels, sure)
+        for instance_id in sorted(faded & before.keys()):
+            left = instances.n_voxels(instance_id)
+            seen = instances.instances[instance_id].last_seen_ns
+            since, lost = self._faded.get(instance_id, (seen, 0))
+            lost = before[instance_id] - left + (lost if since == seen else 0)
+            self._faded[instance_id] = (seen, lost)
+            if left <= REST_SHARE * (left + lost):
+                rest = point_to_ijk(instances.points(instance_id)[0], instances.voxel_size_m)
+                semantics.fade(rest, np.ones(len(rest), np.bool_))
+                instances.forget(instance_id)
+                del self._faded[instance_id]
+        return faded
+
+    def state(self) -> dict[str, Array]:
+        """How many images there were, and what faded."""
+        rows = [(instance_id, *row) for instance_id, row in self._faded.items()]
+        return {"images": np.array(self._images), "faded": np.array(rows, np.int64).reshape(-1, 3)}
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Array]) -> Clearing:
+        """What `state` gave."""
+        clearing = cls()
+        clearing._images = int(state["images"])
+        clearing._faded = {instance_id: (seen, lost) for instance_id, seen, lost in state["faded"].tolist()}
+        return clearing
 
 
 def seen_through(

@@ -296,6 +296,10 @@ class InstanceMap(PackedLayer):
         self._absorb(kept, lost)
         return InstanceChange(frozenset({kept}), {lost: kept})
 
+    def n_voxels(self, instance_id: int) -> int:
+        """In how many voxels an instance has the most votes, however few."""
+        return int(self._sizes[self.instances[instance_id].number])
+
     def forget(self, instance_id: int) -> None:
         """Give up an instance: its voxels become background until something is seen there again."""
         self._end(self.instances[instance_id], BACKGROUND)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
-from mapping.clearing import seen_through
+from mapping.clearing import Clearing
 from mapping.esdf import EsdfMap
 from mapping.geometry import SE3
 from mapping.instances import InstanceChange, InstanceMap
@@ -87,7 +87,7 @@ class LayeredMap:
         self.moving = MovingThings(voxel_size_m=instance_voxel_size_m)
         self.planes = PlaneMap(voxel_size_m)
         self.esdf = self._distance_field()
-        self._images = 0
+        self._clearing = Clearing()
         self._bleed: defaultdict[str, Bleed] = defaultdict(Bleed)  # of the masks of each sensor
 
     @property
@@ -101,7 +101,7 @@ class LayeredMap:
     def state(self) -> dict[str, dict[str, Array]]:
         """The arrays of all layers, by layer."""
         layers = {name: layer.state() for name, layer in self.layers.items()}
-        rest = {"moving": self.moving.state(), "planes": self.planes.state(), "images": {"n": np.array(self._images)}}
+        rest = {"moving": self.moving.state(), "planes": self.planes.state(), "clearing": self._clearing.state()}
         return {**layers, **rest, "bleed": {sensor: bleed.masks for sensor, bleed in self._bleed.items()}}
 
     def restore(self, state: Mapping[str, Mapping[str, Array]]) -> None:
@@ -113,7 +113,7 @@ class LayeredMap:
         self.semantics.things = self.instances
         self.moving = MovingThings.from_state(state["moving"])
         self.planes.restore(state["planes"])
-        self._images = int(state["images"]["n"])
+        self._clearing = Clearing.from_state(state["clearing"])
         self._bleed.update({sensor: Bleed(masks) for sensor, masks in state.get("bleed", {}).items()})
         self.esdf = self._distance_field()
 
@@ -133,7 +133,7 @@ class LayeredMap:
         tsdf = self.tsdf.integrate_view(view, color=registered)
         planes = self.planes.update(self.tsdf, tsdf)
         instances = self._vote(image, depth_m, T_map_camera, things)
-        lost = self._clear(view)
+        lost = self._clearing.update(view, self.occupancy, self.semantics, self.instances)
         instances = replace(instances, touched=instances.touched | lost)
         followed = MovingChange()
         if self.follow_moving and moving is not None:
@@ -181,15 +181,6 @@ class LayeredMap:
 
     def _near(self, depth_m: Array) -> Array:
         return np.where(depth_m < self.label_range_m, depth_m, np.float32(0.0))
-
-    def _clear(self, view: DepthView) -> set[int]:
-        """Let what is known of voxels fade through which free space is seen; returns the instances that lost some."""
-        self._images += 1
-        voxels, sure = seen_through(view, self.semantics.store, self.occupancy, turn=self._images)
-        if not len(voxels):
-            return set()
-        self.semantics.fade(voxels, sure)
-        return self.instances.fade(voxels, sure)
 
     def integrate_scan(self, scan: Scan, T_map_sensor: SE3) -> MapChange:
         """Fuse a scan; labels of points vote for classes."""
