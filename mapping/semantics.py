@@ -94,7 +94,7 @@ class SemanticMap(PackedLayer):
         kept: int = 3,
         n_classes: int = 40,
         accuracy: float = 0.7,
-        least: float = 0.05,
+        least: float = 0.01,
     ) -> None:
         if fusion not in ("votes", "bayes"):
             raise InvalidParameter(f"fusion: expected votes or bayes, got {fusion!r}")

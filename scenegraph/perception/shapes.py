@@ -18,9 +18,9 @@ COARSE_CELL_M = 0.06
 CLUSTER_CELL_M = 0.06
 """Parts of a thing are no farther apart than about two of these; what lies farther is another thing's, mistaken for
 it."""
-EXTREME_SHARE = 0.01
+EXTREME_SHARE = 0.003
 """Share of the votes that may stick out of a box at the bottom; half of it at the top: outliers of depth and pose."""
-SIDE_SHARE = 0.01
+SIDE_SHARE = 0.001
 SIDE_DIRECTIONS = 8
 """Share of the votes that may stick out at either end of as many horizontal axes: masks bleed and poses err sideways.
 Chosen so that boxes of simulated things are neither too long nor too short in the median."""
