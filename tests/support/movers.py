@@ -6,12 +6,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
-from mapping.geometry import SE3
+from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import ijk_to_centre
 from mapping.layered import LayeredMap, MapChange
 from mapping.observations import RgbdImage
-from tests.support.scenes import Block, Scene, looking_at, shell
+from tests.support.scenes import CAMERA, Block, Scene, looking_at, shell
 
 ROOM = tuple(shell((-3.0, -3.0), (3.0, 3.0)))
 EYE, TARGET = (0.0, -2.5, 1.4), (0.0, 0.3, 0.4)
@@ -60,6 +61,8 @@ class Stage:
     policy: str = "model"
     noisy: bool = False
     extra: tuple[Block, ...] = ()
+    camera: CameraIntrinsics = CAMERA
+    bleed_px: int = 0
     t: float = 0.0
     changes: list[MapChange] = field(default_factory=list)
 
@@ -75,13 +78,17 @@ class Stage:
 
     def image(self, t: float, hide: Iterable[int] = (), eye: tuple[float, float, float] = EYE) -> RgbdImage:
         scene = Scene((*ROOM, *self.extra, *(mover.block(t) for mover in self.movers)))
-        image = scene.image(looking_at(eye, TARGET), round(1e9 * t), hide=hide)
+        image = scene.image(looking_at(eye, TARGET), round(1e9 * t), hide=hide, camera=self.camera)
         ids = np.array([0, *(LABELS.index(label) + 1 for label in scene.classes)], np.uint16)
-        depth = image.depth
+        labels, instances, depth = ids[image.labels], image.instances, image.depth
+        for mover in self.movers if self.bleed_px else ():
+            wide = binary_dilation(instances == mover.thing, iterations=self.bleed_px)
+            labels = np.where(wide, np.uint16(LABELS.index(mover.label) + 1), labels)
+            instances = np.where(wide, np.uint32(mover.thing), instances)
         if self.noisy:
             noise = (0.0012 + 0.0019 * (depth - 0.4) ** 2) * self.rng.normal(size=depth.shape)
             depth = np.where(depth > 0.0, depth + noise, 0.0).astype(np.float32)
-        return image.model_copy(update={"labels": ids[image.labels], "depth": depth})
+        return image.model_copy(update={"labels": labels, "instances": instances, "depth": depth})
 
     def take(self, image: RgbdImage) -> MapChange:
         assert image.T_map_camera is not None
