@@ -135,9 +135,7 @@ class LayeredMap:
         instances = self._vote(image, depth_m, T_map_camera, things)
         lost = self._clearing.update(view, self.occupancy, self.semantics, self.instances)
         instances = replace(instances, touched=instances.touched | lost)
-        followed = MovingChange()
-        if self.follow_moving and moving is not None:
-            followed = self.moving.integrate_image(image, self._near(image.depth_m), T_map_camera, moving)
+        followed = self._follow(image, T_map_camera, moving)
         return MapChange(occupancy, tsdf, planes, instances, followed, T_map_camera)
 
     def _still(self, image: RgbdImage, T_map_camera: SE3, moving: Array) -> Array:
@@ -151,6 +149,11 @@ class LayeredMap:
             return image.depth_m
         return np.where(beside(mask, MOVING_RIM_PX), np.float32(0.0), image.depth_m)
 
+    def _follow(self, image: RgbdImage, T_map_camera: SE3, moving: Array | None) -> MovingChange:
+        if not self.follow_moving or moving is None:
+            return MovingChange()
+        return self.moving.integrate_image(image, self._near(image.depth_m), T_map_camera, moving)
+
     def _corrected(self, image: RgbdImage, depth_m: Array, T_map_camera: SE3) -> SE3:
         """The pose as the map corrects it, where it is uncertain."""
         if image.covariance is None:
@@ -161,11 +164,13 @@ class LayeredMap:
         rays = image.intrinsics.rays()[rows, columns]
         return refine_pose(self.tsdf, (rays * depth[..., None])[near], T_map_camera, image.covariance)
 
-    def label_image(self, image: RgbdImage, T_map_camera: SE3, things: Array) -> MapChange:
-        """Add the labels of an image whose depth was fused before."""
+    def label_image(self, image: RgbdImage, T_map_camera: SE3, things: Array, moving: Array | None = None) -> MapChange:
+        """Add the labels of an image whose depth was fused before; `things` and `moving` as for `integrate_image`."""
         nothing = np.empty((0, 3), np.int32)
         unchanged = (Changed(nothing, self.occupancy.block_size_m), Changed(nothing, self.tsdf.block_size_m))
-        return MapChange(*unchanged, instances=self._vote(image, image.depth_m, T_map_camera, things))
+        depth_m = image.depth_m if moving is None else self._still(image, T_map_camera, moving)
+        instances = self._vote(image, depth_m, T_map_camera, things)
+        return MapChange(*unchanged, instances=instances, moving=self._follow(image, T_map_camera, moving))
 
     def _vote(self, image: RgbdImage, depth_m: Array, T_map_camera: SE3, things: Array) -> InstanceChange:
         if image.labels is None:

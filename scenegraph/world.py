@@ -103,8 +103,7 @@ class World:
             image = image.model_copy(update={"labels": labels})
         else:
             image = self._desk.label(image, self.labels)
-        moving = None if self.config.moving == "fuse" else self.labels.moving
-        change = self.map.integrate_image(image, T_map_camera, self.labels.things, moving)
+        change = self.map.integrate_image(image, T_map_camera, self.labels.things, self._moving)
         self.T_map_camera = change.T_map_camera or T_map_camera
         self._desk.keep(image, self.T_map_camera)
         return change
@@ -123,9 +122,14 @@ class World:
         if found is None:
             return self._commit(GraphChanges(), detections.stamp_ns)
         image, T_map_camera = found
-        change = self.map.label_image(image, T_map_camera, self.labels.things)
+        change = self.map.label_image(image, T_map_camera, self.labels.things, self._moving)
         changes = self.perception.perceive(change, self.graph, detections.stamp_ns, _source(detections))
         return self._commit(changes, detections.stamp_ns)
+
+    @property
+    def _moving(self) -> Any:
+        """(65536,) bool: the classes that are left out of the static map; None: none is."""
+        return None if self.config.moving == "fuse" else self.labels.moving
 
     def _commit(self, changes: GraphChanges, stamp_ns: int) -> Delta:
         return self.graph.commit(changes, max(stamp_ns, self.graph.stamp_ns))

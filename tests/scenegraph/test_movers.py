@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mapping.moving import GONE_AFTER_S
-from mapping.observations import LabelSpace
+from mapping.observations import Detection, Detections, LabelSpace
 from scenegraph.config import WorldConfig
 from scenegraph.world import World
 from tests.support.movers import HZ, LABELS, Mover, Stage, straight
@@ -98,3 +98,23 @@ def test_other_policies_know_no_movers(policy: str) -> None:
         watching.run(0.6)
         assert not movers(world)
         assert bool(world.graph.nodes("object")) == (policy == "fuse")
+
+
+@pytest.mark.parametrize("policy", ["leave_out", "model"])
+def test_movers_are_known_from_detections_that_come_after_their_image(policy: str) -> None:
+    """Depth was fused before anybody knew of a mover: what it left fades, no thing comes of it, and it is followed."""
+    with World(WorldConfig(moving=policy)) as world:
+        stage = Stage((Mover(straight),))
+        world.integrate(SPACE)
+        for n in range(15):
+            image = stage.image(n / HZ)
+            assert image.instances is not None
+            seen = Detection(label="robot", mask=image.instances == 1)
+            world.integrate(image.model_copy(update={"labels": None, "instances": None}))
+            where = {"stamp_ns": image.stamp_ns, "robot": image.robot, "sensor": image.sensor}
+            world.integrate(Detections(**where, items=(seen,)))
+        assert bool(movers(world)) == (policy == "model")
+        assert len(world.graph.nodes("object")) == (policy == "model")
+        if policy == "model":
+            node = world.graph.node(movers(world)[0])
+            assert np.abs(node.position[:2] - straight(1.4)[:2]).max() < 0.06
