@@ -22,8 +22,10 @@ Array: TypeAlias = NDArray[Any]
 MEMORY_S = 1.5
 """After this time a velocity has decayed to 1/e, as far as is known without looking."""
 SPEED_MPS = 1.0
-TURN_RADPS = 0.8
-"""Standard deviations of what is not known to stand still, along and about each axis."""
+LEAN_RADPS, TURN_RADPS = 0.15, 0.8
+"""Standard deviations of what is not known to stand still: along each axis, about the level ones, and about the upright
+one, as most of what moves by itself stays upright."""
+_SPREAD = np.repeat([SPEED_MPS, LEAN_RADPS, TURN_RADPS], (3, 2, 1))
 MOST_TURN_RAD = 1.0
 """The standard deviation of a rotation that nothing tells of (a ball's) is kept at this."""
 
@@ -45,7 +47,7 @@ class Motion:
     @staticmethod
     def at_rest(stamp_ns: int, pose: SE3, sigma_m: float) -> Motion:
         """A pose seen once, of whose motion nothing is known; the thing's frame is what it is then."""
-        sigma = np.repeat([sigma_m, 0.0, SPEED_MPS, TURN_RADPS], 3)
+        sigma = np.concatenate([np.full(3, sigma_m), np.zeros(3), _SPREAD])
         return Motion(stamp_ns, pose, np.zeros(6), np.diag(sigma**2))
 
     def at(self, stamp_ns: int) -> Motion:
@@ -57,7 +59,7 @@ class Motion:
         reach = MEMORY_S * (1.0 - left)
         step = reach * self.velocity
         pose = SE3(SE3.exp([0.0, 0.0, 0.0, *step[3:]]).rotation @ self.pose.rotation, self.pose.translation + step[:3])
-        variance = np.repeat([SPEED_MPS**2, TURN_RADPS**2], 3)
+        variance = _SPREAD**2
         carry = np.eye(12)
         carry[:6, 6:] = reach * np.eye(6)
         carry[6:, 6:] = left * np.eye(6)

@@ -273,3 +273,30 @@ def test_what_is_saved_comes_back_and_goes_on_as_if_nothing_had_been() -> None:
     for name, array in expected.items():
         assert np.array_equal(array, told[name]), name
     assert {thing.label for thing in again.things.values()} == {ROBOT, CAT}
+
+
+# -- what a rigid model does not know ------------------------------------------------------------------------
+def test_a_body_that_swings_its_legs_is_followed_as_one_thing() -> None:
+    """Its model fits one image in some: in the others it is followed by its middle."""
+
+    def walking(side: float) -> Mover:
+        swing = 0.0 if side == 0.0 else 0.2 * side
+        size = (0.25, 0.4, 0.7) if side == 0.0 else (0.15, 0.14, 0.8)
+
+        def way(t: float) -> tuple[float, float, float]:
+            return -0.9 + 0.6 * t + swing * np.sin(2.0 * np.pi * t), 0.12 * side, 0.0
+
+        return Mover(way, size, lift=0.8 if side == 0.0 else 0.0)
+
+    stage = Stage((walking(0.0), walking(1.0), walking(-1.0)), noisy=True)
+    stage.run(3.0)
+    (thing,) = stage.map.moving.things.values()
+    assert thing.views == 30
+    assert 2 <= thing.fused < 30, "nobody claims that it is rigid"
+    torso = stage.movers[0].pose(stage.last).translation
+    box = thing.box_at(thing.last_seen_ns)
+    assert np.linalg.norm(box.center[:2] - torso[:2]) < 0.25
+    assert 1.2 < box.size[2] < 1.7
+    _, poses = thing.trajectory
+    assert (poses[-1].translation - poses[0].translation)[0] == pytest.approx(0.6 * 2.9, abs=0.25)
+    assert stage.trail()[0] == 0

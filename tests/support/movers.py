@@ -23,21 +23,22 @@ LABELS = ("floor", "ceiling", "wall", "robot", "cat", "shelf")
 
 @dataclass(frozen=True)
 class Mover:
-    """A box on its way: `way` gives x, y, yaw at each time [s]."""
+    """A box on its way: `way` gives x, y, yaw at each time [s]; `lift` [m] is how high above the floor it is."""
 
     way: Callable[[float], tuple[float, float, float]]
     size: tuple[float, float, float] = (0.5, 0.35, 0.8)
     label: str = "robot"
     thing: int = 1
+    lift: float = 0.0
 
     def block(self, t: float) -> Block:
         x, y, yaw = self.way(t)
-        return Block(self.label, (x, y, 0.5 * self.size[2]), self.size, self.thing, yaw)
+        return Block(self.label, (x, y, self.lift + 0.5 * self.size[2]), self.size, self.thing, yaw)
 
     def pose(self, t: float) -> SE3:
         """T_map_box, the origin in the middle."""
         x, y, yaw = self.way(t)
-        return SE3(SE3.exp([0.0, 0.0, 0.0, 0.0, 0.0, yaw]).rotation, (x, y, 0.5 * self.size[2]))
+        return SE3(SE3.exp([0.0, 0.0, 0.0, 0.0, 0.0, yaw]).rotation, (x, y, self.lift + 0.5 * self.size[2]))
 
     def outside(self, points: np.ndarray, t: float) -> np.ndarray:
         """Signed distance (N,) [m] to its surface, positive outside."""
