@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mapping.changes import ChangeDetector
+    from mapping.class_histogram import ClassHistogram, aligned_box, class_histogram
     from mapping.collision import SweepReport, Verdict, spheres_are_free, sweep
     from mapping.conversions import (
         depth_to_points,
@@ -31,9 +32,11 @@ if TYPE_CHECKING:
     from mapping.geometry import SE3, CameraIntrinsics
     from mapping.instances import InstanceMap
     from mapping.label_uncertainty import LabelEvidence, count_labels, published_update, sample_labels, spread_labels
+    from mapping.labelled import LabelledCloud, PointLabels, labelled_cloud, labels_at, write_class_octree
     from mapping.layer import Changed, MapLayer
     from mapping.layered import LayeredMap
     from mapping.mesh import IncrementalMesh, Mesh
+    from mapping.moving import MovingThings
     from mapping.multilevel import MultiLevelMap
     from mapping.object_space import ObjectSpace, space_of_mask, space_of_points, space_of_views
     from mapping.observations import (
@@ -51,11 +54,12 @@ if TYPE_CHECKING:
     from mapping.octomap import read_octomap, write_octomap
     from mapping.octomap_tree import OctoMapTree
     from mapping.octree import Leaves
+    from mapping.palette import Palette
     from mapping.planes import Plane, PlaneMap, extract_planes
     from mapping.points import PointMap
     from mapping.range_view import RangeView
     from mapping.raycast import VirtualView
-    from mapping.semantics import SemanticMap
+    from mapping.semantics import ClassBelief, SemanticMap
     from mapping.sensors import LidarModel
     from mapping.sight import Hits
     from mapping.surfels import SurfelMap, Surfels
@@ -65,6 +69,11 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "changes": ("ChangeDetector",),
+    "class_histogram": (
+        "ClassHistogram",
+        "aligned_box",
+        "class_histogram",
+    ),
     "collision": (
         "SweepReport",
         "Verdict",
@@ -120,6 +129,13 @@ _HOMES = {
         "sample_labels",
         "spread_labels",
     ),
+    "labelled": (
+        "LabelledCloud",
+        "PointLabels",
+        "labelled_cloud",
+        "labels_at",
+        "write_class_octree",
+    ),
     "layer": (
         "Changed",
         "MapLayer",
@@ -129,6 +145,7 @@ _HOMES = {
         "IncrementalMesh",
         "Mesh",
     ),
+    "moving": ("MovingThings",),
     "multilevel": ("MultiLevelMap",),
     "object_space": (
         "ObjectSpace",
@@ -154,6 +171,7 @@ _HOMES = {
     ),
     "octomap_tree": ("OctoMapTree",),
     "octree": ("Leaves",),
+    "palette": ("Palette",),
     "planes": (
         "Plane",
         "PlaneMap",
@@ -162,7 +180,10 @@ _HOMES = {
     "points": ("PointMap",),
     "range_view": ("RangeView",),
     "raycast": ("VirtualView",),
-    "semantics": ("SemanticMap",),
+    "semantics": (
+        "ClassBelief",
+        "SemanticMap",
+    ),
     "sensors": ("LidarModel",),
     "sight": ("Hits",),
     "surfels": (
@@ -184,6 +205,8 @@ __all__ = [
     "CameraIntrinsics",
     "ChangeDetector",
     "Changed",
+    "ClassBelief",
+    "ClassHistogram",
     "ClassInfo",
     "CostGrid",
     "CostMap",
@@ -204,18 +227,22 @@ __all__ = [
     "InvalidParameter",
     "LabelEvidence",
     "LabelSpace",
+    "LabelledCloud",
     "LayeredMap",
     "Leaves",
     "LidarModel",
     "MapLayer",
     "MappingError",
     "Mesh",
+    "MovingThings",
     "MultiLevelMap",
     "ObjectSpace",
     "OccupancyMap",
     "OctoMapTree",
+    "Palette",
     "Plane",
     "PlaneMap",
+    "PointLabels",
     "PointMap",
     "PoseUnavailable",
     "RangeView",
@@ -232,11 +259,15 @@ __all__ = [
     "TsdfMap",
     "Verdict",
     "VirtualView",
+    "aligned_box",
+    "class_histogram",
     "count_labels",
     "depth_to_points",
     "extract_planes",
     "label_points",
     "label_range_image",
+    "labelled_cloud",
+    "labels_at",
     "mesh_to_points",
     "open_dataset",
     "points_to_depth",
@@ -257,6 +288,7 @@ __all__ = [
     "surfels_to_points",
     "sweep",
     "tsdf_to_occupancy",
+    "write_class_octree",
     "write_octomap",
 ]
 

@@ -30,6 +30,8 @@ from mapping.semantics import camera_row, pose_rows
 
 Array: TypeAlias = NDArray[Any]
 
+FULL_VIEW_PIXELS = 400.0
+"""A mask of so many pixels is a whole vote for the class of its instance, times what the segmenter is sure of it."""
 FOUNDING_PIXELS = 100
 """A mask that is no known instance founds one when it has this many pixels."""
 CONFIRMED_VIEWS = 2
@@ -149,7 +151,8 @@ class InstanceMap(PackedLayer):
         self._found(ids, seen.pixels)
         for piece, instance_id in enumerate(ids.tolist()):
             if instance_id:
-                self._witness(instance_id, int(seen.label[piece]), int(seen.pixels[piece]), stamp_ns)
+                worth = min(1.0, float(seen.pixels[piece]) / FULL_VIEW_PIXELS) * float(seen.confidence[piece])
+                self._witness(instance_id, int(seen.label[piece]), worth, stamp_ns)
         numbers = [BACKGROUND, *(self.instances[i].number if i else 0 for i in ids.tolist()), 0]
         touched = self._vote(cells, np.array(numbers, np.uint16)[owners], votes, offsets)  # owner −1 is the last
         split = self._split(apart(overlaps, ids), ids, cells, owners)
@@ -213,13 +216,13 @@ class InstanceMap(PackedLayer):
             ids[piece] = self._next_id
             self._next_id += 1
 
-    def _witness(self, instance_id: int, label: int, pixels: int, stamp_ns: int) -> None:
+    def _witness(self, instance_id: int, label: int, worth: float, stamp_ns: int) -> None:
         known = self.instances.get(instance_id)
         if known is None:
             known = self._begin(Instance(instance_id, stamp_ns, stamp_ns, number=self._free_number()))
         known.last_seen_ns = max(known.last_seen_ns, stamp_ns)
         known.views += 1
-        known.labels[label] = known.labels.get(label, 0.0) + min(1.0, pixels / 400.0)
+        known.labels[label] = known.labels.get(label, 0.0) + worth
 
     def _begin(self, instance: Instance) -> Instance:
         self.instances[instance.id] = instance

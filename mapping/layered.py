@@ -5,22 +5,25 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter
 
+from mapping.class_histogram import ClassHistogram, OrientedBox, class_histogram
 from mapping.clearing import Clearing
 from mapping.esdf import EsdfMap
 from mapping.geometry import SE3
 from mapping.instances import InstanceChange, InstanceMap
 from mapping.kernels.images import smooth_depth
+from mapping.labelled import LabelledCloud, PointLabels, labelled_cloud, labels_at
 from mapping.layer import Changed, MapLayer
 from mapping.moving import MovingChange, MovingThings
 from mapping.object_space import DEPTH_NOISE
 from mapping.observations import RgbdImage, Scan
 from mapping.occupancy import OccupancyMap
+from mapping.palette import Palette
 from mapping.planes import PlaneChange, PlaneMap
 from mapping.registration import refine_pose
 from mapping.segmentation import Bleed, segment
@@ -59,6 +62,8 @@ class LayeredMap:
     instance_voxel_size_m  edge of the finer voxels of classes and things [m]
     max_range_m            measurements beyond this are cut [m]
     label_range_m          labels beyond this are not believed [m]
+    fusion                 of labels: "votes" or "bayes", see `SemanticMap`
+    spread_labels          whether labels are spread over where they may belong, where the pose comes with a covariance
     follow_moving          whether what moves by itself and is left out of the map is kept beside it, see `moving`
     """
 
@@ -69,9 +74,12 @@ class LayeredMap:
         instance_voxel_size_m: float,
         max_range_m: float,
         label_range_m: float,
+        fusion: Literal["votes", "bayes"] = "votes",
+        spread_labels: bool = False,
         follow_moving: bool = False,
     ) -> None:
         self.max_range_m = max_range_m
+        self.spread_labels = spread_labels
         self.follow_moving = follow_moving
         self.label_range_m = label_range_m
         self.occupancy = OccupancyMap(voxel_size_m=voxel_size_m, max_range_m=max_range_m)
@@ -81,7 +89,7 @@ class LayeredMap:
             max_range_m=max_range_m,
             depth_noise=0.0,  # boards as thin as voxels matter more to relations than walls far away
         )
-        self.semantics = SemanticMap(voxel_size_m=instance_voxel_size_m)
+        self.semantics = SemanticMap(voxel_size_m=instance_voxel_size_m, fusion=fusion)
         self.instances = InstanceMap(voxel_size_m=instance_voxel_size_m)
         self.semantics.things = self.instances
         self.moving = MovingThings(voxel_size_m=instance_voxel_size_m)
@@ -181,11 +189,26 @@ class LayeredMap:
         smooth_depth(near, *DEPTH_NOISE, depth_m)
         weights = seen.weights(depth_m, self.semantics.voxel_size_m)
         camera = image.intrinsics
-        self.semantics.integrate_image(depth_m, seen.labels, weights, camera, T_map_camera)
+        covariance = image.covariance if self.spread_labels else None
+        self.semantics.integrate_image(
+            depth_m, seen.labels, weights, camera, T_map_camera, image.label_confidence, covariance
+        )
         return self.instances.integrate_image(seen, depth_m, camera, T_map_camera, image.stamp_ns, weights)
 
     def _near(self, depth_m: Array) -> Array:
         return np.where(depth_m < self.label_range_m, depth_m, np.float32(0.0))
+
+    def labels_at(self, p_map: ArrayLike) -> PointLabels:
+        """Class and instance at points (N, 3) [m], and whether anything was ever observed there."""
+        return labels_at(p_map, self.semantics, self.occupancy, self.instances)
+
+    def class_histogram(self, box: OrientedBox) -> ClassHistogram:
+        """What a box holds: voxels and volume of each class; what is unlabelled and what was never seen apart."""
+        return class_histogram(box, self.semantics, self.occupancy)
+
+    def labelled_cloud(self, palette: Palette | None = None) -> LabelledCloud:
+        """A point for each labelled voxel, with class, instance, confidence and colour."""
+        return labelled_cloud(self.semantics, self.instances, palette)
 
     def integrate_scan(self, scan: Scan, T_map_sensor: SE3) -> MapChange:
         """Fuse a scan; labels of points vote for classes."""

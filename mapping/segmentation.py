@@ -70,9 +70,10 @@ class Segmentation:
     """The labelled part of one image.
 
     labels  (H, W) uint16: class ids of pixels to be believed, 0 elsewhere
-    trust   (H, W) float32 in 0 … 1: less at the rims of masks, as far as they bleed, and as the segmenter says
+    trust   (H, W) float32 in 0 … 1: less at the rims of masks, as far as they bleed
     pieces  (H, W) int32: 1 … n on pieces of things, 0 elsewhere
-    label   (n,) class id of each piece;  pixels (n,) its size
+    label   (n,) class id of each piece;  pixels (n,) its size;  confidence (n,) the mean of its pixels', 1 where the
+            segmenter says nothing of it
     """
 
     labels: Array
@@ -80,6 +81,7 @@ class Segmentation:
     pieces: Array
     label: Array
     pixels: Array
+    confidence: Array
 
     def __len__(self) -> int:
         return len(self.label)
@@ -177,11 +179,12 @@ def segment(image: RgbdImage, depth_m: Array, things: Array, bleed: Bleed | None
     class_of_group = np.zeros(n_groups + 1, np.uint16)
     class_of_group[group] = class_of_mask[of_mask]
     labels, trust = np.empty(shape, np.uint16), np.empty(shape, np.float32)
-    confidence = _image(image.label_confidence, (0, 0), np.float32)
-    kernels.believe(
-        pieces, labels, trust, number, class_of_mask, mask, depth, distance, bleed.rim_px, doubtful, DOUBT, confidence
-    )
-    return Segmentation(labels, trust, pieces, class_of_group[large], pixels[large])
+    kernels.believe(pieces, labels, trust, number, class_of_mask, mask, depth, distance, bleed.rim_px, doubtful, DOUBT)
+    confidence = np.ones(int(large.sum()))
+    if image.label_confidence is not None:
+        sums = np.bincount(pieces.ravel(), image.label_confidence.ravel(), minlength=len(confidence) + 1)
+        confidence = sums[1:] / pixels[large]
+    return Segmentation(labels, trust, pieces, class_of_group[large], pixels[large], confidence)
 
 
 def _image(given: Array | None, shape: tuple[int, ...], dtype: DTypeLike) -> Array:

@@ -21,6 +21,7 @@ class WorldConfig(BaseModel):
     label_range_m         labels beyond this are not believed
     moving                what becomes of classes that move by themselves: left out of the map; kept beside it, each
                           thing as a model of its own that moves; or fused like all else
+    fusion                of labels: votes, or measurements that are right with the confidence that comes with them
     spread_labels         whether labels of images are spread over where they may belong, given the pose's covariance
     rule_files            Prolog files of the user, loaded after the rules that come with the package
     robot_radius_m        of robots that do not describe themselves
@@ -33,6 +34,7 @@ class WorldConfig(BaseModel):
     max_range_m: Metres = 6.0
     label_range_m: Metres = 5.0
     moving: Literal["leave_out", "model", "fuse"] = "leave_out"
+    fusion: Literal["votes", "bayes"] = "votes"
     spread_labels: bool = False
     rule_files: tuple[Path, ...] = ()
     robot_radius_m: Metres = 0.25

@@ -49,6 +49,8 @@ class World:
             instance_voxel_size_m=self.config.fine_voxel_size_m,
             max_range_m=self.config.max_range_m,
             label_range_m=self.config.label_range_m,
+            fusion=self.config.fusion,
+            spread_labels=self.config.spread_labels,
             follow_moving=self.config.moving == "model",
         )
         self.graph = SceneGraph()

@@ -313,7 +313,6 @@ def believe(
     rim_px: float,
     doubtful: Array,
     doubt: float,
-    confidence: Array,
 ) -> None:
     """Say what each pixel is and how far it is to be trusted, in place.
 
@@ -321,7 +320,7 @@ def believe(
     labels     : (H, W) uint16, filled: where there is depth, of the background and of the masks of pieces, by
                  `class_of` (n_masks + 1,) uint16; 0 elsewhere
     trust      : (H, W) float32, filled: full where `distance` (H, W) uint8 [px] is rim_px, less at boundaries; times
-                 `doubt` where `doubtful` (H, W) uint8; times `confidence` (H, W) float32, size 0 to do without
+                 `doubt` where `doubtful` (H, W) uint8
     """
     height, width = mask.shape
     per_px = np.float32(1.0 / rim_px)
@@ -339,8 +338,6 @@ def believe(
             labels[v, u] = label if depth[v, u] > 0.0 else np.uint16(0)
             sure = min(np.float32(distance[v, u]) * per_px, np.float32(1.0))
             trust[v, u] = sure * np.float32(doubt) if doubtful[v, u] else sure
-    if confidence.size:
-        trust *= confidence
 
 
 @njit(cache=True)

@@ -121,20 +121,16 @@ def test_thousands_of_masks_are_told_apart() -> None:
 
 
 @settings(max_examples=50, deadline=None)
-@given(mask=mask_images, depth=depth_images, confident=st.booleans(), seed=st.integers(0, 1000))
-def test_what_is_believed_of_each_pixel_is_as_said(
-    mask: np.ndarray, depth: np.ndarray, confident: bool, seed: int
-) -> None:
+@given(mask=mask_images, depth=depth_images, seed=st.integers(0, 1000))
+def test_what_is_believed_of_each_pixel_is_as_said(mask: np.ndarray, depth: np.ndarray, seed: int) -> None:
     rng = np.random.default_rng(seed)
     pieces = (rng.integers(0, 3, mask.shape) * (mask > 0)).astype(np.int32)
     number, class_of = np.array([0, 0, 1], np.int32), np.array([0, 7, 8], np.uint16)
     distance = rng.integers(0, 17, mask.shape).astype(np.uint8)
-    confidence = rng.random(mask.shape if confident else (0, 0)).astype(np.float32)
     labels, trust, renumbered = np.empty(mask.shape, np.uint16), np.empty(mask.shape, np.float32), pieces.copy()
     doubtful = rng.integers(0, 2, mask.shape).astype(np.uint8)
     kernels.believe(
-        renumbered, labels, trust, number, class_of, mask, read_only(depth), distance, 8, doubtful, 0.3,
-        read_only(confidence),
+        renumbered, labels, trust, number, class_of, mask, read_only(depth), distance, 8, doubtful, 0.3
     )  # fmt: skip
     for p in np.ndindex(mask.shape):
         piece = number[pieces[p]]
@@ -142,7 +138,7 @@ def test_what_is_believed_of_each_pixel_is_as_said(
         assert renumbered[p] == piece
         assert labels[p] == ((class_of[mask[p]] if mask[p] > 0 else -mask[p]) if known else 0)
         sure = min(distance[p] / 8, 1.0) * (0.3 if doubtful[p] else 1.0)
-        assert np.isclose(trust[p], sure * (confidence[p] if confident else 1.0))
+        assert np.isclose(trust[p], sure)
 
 
 @settings(max_examples=30, deadline=None)
@@ -219,10 +215,15 @@ def test_trust_is_low_at_the_border_of_a_mask_and_full_inside() -> None:
     assert seen.trust[120, 160] == 1.0
     assert seen.trust[120, 121] < 0.3
     assert ((seen.trust >= 0.0) & (seen.trust <= 1.0)).all()
-    doubted = cut(
-        np.full(U.shape, 1.0), np.where(true, CUP, WALL), true * 1, label_confidence=np.full(U.shape, 0.5, np.float32)
-    )
-    assert np.allclose(doubted.trust, 0.5 * seen.trust)
+    assert seen.confidence.tolist() == [1.0]
+
+
+def test_a_piece_is_as_sure_as_its_pixels() -> None:
+    true = disc(160, 120, 40)
+    sure = np.where(U < 160, 0.4, 0.8).astype(np.float32)
+    seen = cut(np.full(U.shape, 1.0), np.where(true, CUP, WALL), true * 1, label_confidence=sure)
+    assert seen.confidence == pytest.approx([sure[seen.pieces == 1].mean()])
+    assert seen.trust[120, 160] == 1.0, "trust is that of the mask, not of its label"
 
 
 def test_a_thing_seen_around_an_obstacle_is_one() -> None:
