@@ -172,6 +172,16 @@ def test_who_was_away_for_long_comes_back_as_another_and_is_not_forgotten() -> N
     assert {1, 2} <= stage.changes[5].moving.touched, "that they are gone is news"
 
 
+def test_another_that_appears_far_off_is_another() -> None:
+    stage = Stage((Mover(lambda t: (-1.5, 0.5, 0.0)),))
+    stage.run(0.5)
+    stage.movers = (Mover(lambda t: (1.2, 0.5, 0.0)),)
+    stage.t += 5.0
+    stage.run(0.5)
+    assert set(stage.map.moving.things) == {1, 2}
+    assert set(stage.map.moving.about()) == {1, 2}
+
+
 # -- masks that are missed -----------------------------------------------------------------------------------
 def test_missed_masks_leave_a_trail_that_clearing_erases() -> None:
     stage = Stage((Mover(turning),), "leave_out")
