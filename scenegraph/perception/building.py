@@ -102,6 +102,9 @@ class Building:
         ids = self._near(low, high)
         if ids and self._planes.blocks_segment(a[None], b[None], ids)[0]:
             return "blocked"
+        beside = self._near(np.minimum(p, q), np.maximum(p, q))
+        if sum(bool(self._planes.blocks_segment(p[None], q[None], [i])[0]) for i in beside) >= 2:
+            return "blocked"  # both faces of a wall that is little thicker than the two ends stand off it
         for node in self._walls.within((low, high), 0.1):
             normal, offset, along, start, end = self._lines[node]
             da, db = float(a[:2] @ normal - offset), float(b[:2] @ normal - offset)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.labelled import labels_near
 from mapping.layered import LayeredMap, MapChange
 from mapping.observations import AgentPose
 from scenegraph.errors import InvalidStatement
@@ -172,8 +173,11 @@ class Perception:
         return changes
 
     def _evidence(self, points: Array) -> dict[str, float]:
-        """Shares of the points (N, 3) on a plane that carry each class; what carries no label is left out."""
-        labels, _ = self._map.semantics.query(points)
+        """Shares of the points (N, 3) on a plane that carry each class; what carries no label is left out.
+
+        Labels lie in finer voxels than planes: the nearest within a voxel of these counts.
+        """
+        labels, _ = labels_near(points, self._map.semantics, self._map.tsdf.voxel_size_m)
         ids, counts = np.unique(labels[labels > 0], return_counts=True)
         return {
             class_atom(self._labels.name(int(i))): n / len(points) for i, n in zip(ids, counts.tolist(), strict=True)

@@ -216,10 +216,10 @@ def test_entropy_tells_how_undecided_a_voxel_is() -> None:
 def test_what_fades_counts_half_and_is_forgotten_in_the_end() -> None:
     semantics = mapped(np.full((1, 3), 0.05), np.array([4]), np.array([2.0]))
     shares = []
-    for _ in range(6):
+    for _ in range(8):
         changed = semantics.fade([[0, 0, 0], [0, 0, 1], [50, 50, 50]])
         shares.append(sum(counts[4] for counts, _ in held(semantics).values()))
-    assert shares == [256, 128, 64, 32, 16, 0]
+    assert shares == [256, 128, 64, 32, 16, 8, 4, 0]
     assert changed.blocks.tolist() == [[0, 0, 0]]
     assert semantics.query([[0.05, 0.05, 0.05]])[0].tolist() == [0]
 
