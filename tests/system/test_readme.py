@@ -33,7 +33,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
 
 
-FIRST, OWN_CAMERA, CLIENT, WITHOUT_US, LAYERS = blocks("python")
+FIRST, OWN_CAMERA, CLIENT, WITHOUT_US, LAYERS, SEMANTIC = blocks("python")
 
 
 def commands() -> list[list[str]]:
@@ -108,6 +108,21 @@ def test_the_map_layers_work_on_their_own_as_the_readme_says(tmp_path, monkeypat
     read_octomap("map.bt").write("again.bt")
     assert Path("again.bt").read_bytes() == Path("map.bt").read_bytes()
     assert Path("mesh.ply").stat().st_size > 1000
+
+
+def test_a_map_tells_of_its_labels_as_the_readme_says(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with World() as world:
+        for observation in OneCorner(2).observe(3):
+            world.integrate(observation)
+        points = world.map.semantics.voxels()[0][:50]
+        given = {"world": world, "points": points}
+        exec(compile(SEMANTIC, "README", "exec"), given)
+    assert (given["labels"] > 0).all()
+    assert np.array_equal(given["known"].labels, given["labels"])
+    assert given["held"].unseen > 0
+    assert len(given["mesh"].labels) == len(given["mesh"].vertices)
+    assert Path("cloud.ply").stat().st_size > 1000
 
 
 def test_the_rules_of_the_readme_are_accepted(tmp_path):
