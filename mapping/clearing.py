@@ -27,8 +27,9 @@ MARGIN_VOXELS = 1.0
 """An image sees through a voxel when it sees farther than it by so many voxels of the occupancy map …"""
 MARGIN_SHARE = 0.015
 """… and by this share of the distance, as depth and the angles of a pose are less certain far away, …"""
-MARGIN_RAD = 0.009
-"""… in the pixels so far to the left and right, above and below, too (one pixel at least): about what a pose errs."""
+MARGIN_RAD = 0.02
+"""… in the pixels so far to the left and right, above and below, too (one pixel at least): twice what a pose errs, as
+edges and what is thin would fade else."""
 TURNS = 3
 """Of all blocks, one image looks at every so-manieth."""
 REST_SHARE = 0.25
