@@ -55,20 +55,19 @@ class Clearing:
         voxels, sure = seen_through(view, instances.store, occupancy, turn=self._images)
         if not len(voxels):
             return set()
-        before = {i: instances.n_voxels(i) for i in instances.instances}
         faded = instances.fade(voxels, sure)
-        for instance_id in sorted(faded & before.keys()):
+        for instance_id in sorted(faded):
             left = instances.n_voxels(instance_id)
             seen = instances.instances[instance_id].last_seen_ns
             since, lost = self._faded.get(instance_id, (seen, 0))
-            lost = before[instance_id] - left + (lost if since == seen else 0)
+            lost = faded[instance_id] + (lost if since == seen else 0)
             self._faded[instance_id] = (seen, lost)
             if left <= REST_SHARE * (left + lost):
                 rest = point_to_ijk(instances.points(instance_id)[0], instances.voxel_size_m)
                 semantics.fade(rest, np.ones(len(rest), np.bool_))
                 instances.forget(instance_id)
                 del self._faded[instance_id]
-        return faded
+        return set(faded)
 
     def state(self) -> dict[str, Array]:
         """How many images there were, and what faded."""

@@ -307,12 +307,13 @@ class InstanceMap(PackedLayer):
         """Give up an instance: its voxels become background until something is seen there again."""
         self._end(self.instances[instance_id], BACKGROUND)
 
-    def fade(self, ijk: ArrayLike, gone: ArrayLike) -> set[int]:
+    def fade(self, ijk: ArrayLike, gone: ArrayLike) -> dict[int, int]:
         """Votes in voxels (N, 3) count half; those `gone` (N,) bool, and those with little left, are forgotten.
 
-        Returns the ids of the instances that lost voxels. One that is left without any stays known until it is
-        forgotten or given up.
+        Returns the ids of the instances that lost voxels, and in how many more they had led. One that is left without
+        any stays known until it is forgotten or given up.
         """
+        sizes = self._sizes.copy()
         cells, first = np.unique(self.store.cells_of(np.asarray(ijk, np.int64).reshape(-1, 3)), return_index=True)
         lost, empty = np.zeros(BACKGROUND + 1, np.bool_), np.empty(len(cells), np.bool_)
         kernels.fade(
@@ -321,7 +322,11 @@ class InstanceMap(PackedLayer):
         )  # fmt: skip
         self.store.remove(cells[empty])
         self._note(np.unique(cells[cells >= 0] >> 9))
-        return self._known(lost)
+        return {
+            int(self._id_of[number]): int(sizes[number] - self._sizes[number])
+            for number in np.flatnonzero(lost[:BACKGROUND]).tolist()
+            if self._id_of[number]
+        }
 
     # -- state --------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:
