@@ -218,7 +218,7 @@ CONTESTANTS = [
     ),
     Contestant("PointMap", lambda r: PointMap(SIZE, 4, r), by_image, lambda layer: len(layer.points)),
     Contestant("SurfelMap", lambda r: SurfelMap(SIZE, r), by_image, lambda layer: len(layer.block_ijk)),
-    Contestant("SemanticMap", lambda r: SemanticMap(voxel_size_m=SIZE), by_labels, positive("total")),
+    Contestant("SemanticMap", lambda r: SemanticMap(voxel_size_m=SIZE), by_labels, lambda layer: layer.store.n_records),
     Contestant("HeightMap", lambda r: HeightMap(SIZE, r), by_image, known_cells),
     Contestant("ElevationMap", lambda r: ElevationMap(SIZE, r), by_image, known_cells),
     Contestant("ExtendedElevationMap", lambda r: ExtendedElevationMap(SIZE, r), by_image, known_cells),
