@@ -128,9 +128,12 @@ def find_cores(mask: Array, distance: Array, least: Array, core: Array) -> None:
             if u > 0 and mask[v, u - 1] == m:
                 best = max(best, int(peak[v, u - 1]) - 1)
             if v > 0:
-                for b in range(max(u - 1, 0), min(u + 2, width)):
-                    if mask[v - 1, b] == m:
-                        best = max(best, int(peak[v - 1, b]) - 1)
+                if mask[v - 1, u] == m:
+                    best = max(best, int(peak[v - 1, u]) - 1)
+                if u > 0 and mask[v - 1, u - 1] == m:
+                    best = max(best, int(peak[v - 1, u - 1]) - 1)
+                if u + 1 < width and mask[v - 1, u + 1] == m:
+                    best = max(best, int(peak[v - 1, u + 1]) - 1)
             peak[v, u] = best
     for v in range(height - 1, -1, -1):
         for u in range(width - 1, -1, -1):
@@ -142,9 +145,12 @@ def find_cores(mask: Array, distance: Array, least: Array, core: Array) -> None:
             if u + 1 < width and mask[v, u + 1] == m:
                 best = max(best, int(peak[v, u + 1]) - 1)
             if v + 1 < height:
-                for b in range(max(u - 1, 0), min(u + 2, width)):
-                    if mask[v + 1, b] == m:
-                        best = max(best, int(peak[v + 1, b]) - 1)
+                if mask[v + 1, u] == m:
+                    best = max(best, int(peak[v + 1, u]) - 1)
+                if u + 1 < width and mask[v + 1, u + 1] == m:
+                    best = max(best, int(peak[v + 1, u + 1]) - 1)
+                if u > 0 and mask[v + 1, u - 1] == m:
+                    best = max(best, int(peak[v + 1, u - 1]) - 1)
             peak[v, u] = best
             if distance[v, u] > least[best]:
                 core[v, u] = m
@@ -340,7 +346,7 @@ def believe(
             trust[v, u] = sure * np.float32(doubt) if doubtful[v, u] else sure
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def weigh(
     pieces: Array, trust: Array, depth: Array, n_pieces: int, depth_noise: float, voxel: float, weights: Array
 ) -> None:
@@ -355,13 +361,19 @@ def weigh(
     most = np.zeros(n_pieces + 1, np.float32)
     for v in range(height):
         for u in range(width):
-            most[pieces[v, u]] = max(most[pieces[v, u]], trust[v, u])
+            piece = pieces[v, u]
+            if piece and trust[v, u] > most[piece]:
+                most[piece] = trust[v, u]
     most[0] = np.float32(1.0)
     per_most = np.float32(1.0) / np.maximum(most, np.float32(1e-9))
     spread, one = np.float32((2.0 * depth_noise / voxel) ** 2), np.float32(1.0)
+    full, per_full = np.empty(width, np.float32), np.empty(width, np.float32)
     for v in range(height):
+        of, sure, z, out = pieces[v], trust[v], depth[v], weights[v]
         for u in range(width):
-            piece, z = pieces[v, u], depth[v, u]
-            share = trust[v, u] * per_most[piece]
+            full[u], per_full[u] = most[of[u]], per_most[of[u]]
+        for u in range(width):  # no branches and no tables, so that it runs on vectors
+            share = sure[u] * per_full[u]
             cube = share * share * share
-            weights[v, u] = most[piece] * cube * cube / (one + spread * z * z * z * z)
+            square = z[u] * z[u]
+            out[u] = full[u] * cube * cube / (one + spread * square * square)
