@@ -75,8 +75,8 @@ def trace(
     Returns of each run: cells (K,) int64; owners (K,) int32: the piece, 0 for a label without a piece, −1 for no label;
     pixels (K,) int64 looked at; votes (K,) int64 [1/UNIT], rounded up and down in turn; offsets (K, 3) float32 of their
     mean point from the voxel's centre [voxels]. Then blocks (m, 3) int32 that the table does not have, numbered on from
-    n_blocks, and the cells (k,) of runs with votes that have no record yet. Runs without a label in unknown blocks
-    are left out.
+    n_blocks, and the cells (k,) of runs with votes that have no record yet. Runs of no
+    piece are left out in blocks where no piece ever was: nobody asks there.
     """
     height, width = depth.shape
     per_voxel = 1.0 / voxel
@@ -118,7 +118,7 @@ def trace(
                 if i >> 3 != bi or j >> 3 != bj or k >> 3 != bk:
                     bi, bj, bk = i >> 3, j >> 3, k >> 3
                     slot = np.int64(lookup(table, bi, bj, bk))
-                if slot < 0 and owner >= 0:
+                if slot < 0 and owner > 0:
                     if 2 * n_found > len(fresh):
                         fresh = np.full((4 * len(fresh), 2), -1, np.int64)
                         for m in range(n_found):
