@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mapping.changes import ChangeDetector
-    from mapping.class_histogram import ClassHistogram, aligned_box, class_histogram
     from mapping.collision import SweepReport, Verdict, spheres_are_free, sweep
     from mapping.conversions import (
         depth_to_points,
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     from mapping.esdf import EsdfMap
     from mapping.frames import FrameTree
     from mapping.geometry import SE3, CameraIntrinsics
+    from mapping.histograms import ClassHistogram, aligned_box, class_histogram
     from mapping.instances import InstanceMap
     from mapping.label_uncertainty import LabelEvidence, count_labels, published_update, sample_labels, spread_labels
     from mapping.labelled import LabelledCloud, PointLabels, labelled_cloud, labels_at, write_class_octree
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "changes": ("ChangeDetector",),
-    "class_histogram": (
+    "histograms": (
         "ClassHistogram",
         "aligned_box",
         "class_histogram",

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter
 
-from mapping.class_histogram import ClassHistogram, OrientedBox, class_histogram
 from mapping.clearing import Clearing
 from mapping.esdf import EsdfMap
 from mapping.geometry import SE3
+from mapping.histograms import ClassHistogram, OrientedBox, class_histogram
 from mapping.instances import InstanceChange, InstanceMap
 from mapping.kernels.images import smooth_depth
 from mapping.labelled import LabelledCloud, PointLabels, labelled_cloud, labels_at

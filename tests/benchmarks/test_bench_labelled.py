@@ -16,8 +16,8 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 from scipy.spatial import cKDTree
 
-from mapping.class_histogram import aligned_box, class_histogram
 from mapping.cost import CostMap, CostTable
+from mapping.histograms import aligned_box, class_histogram
 from mapping.labelled import class_colors, labelled_cloud, labels_at, labels_near, write_class_octree
 from mapping.layered import LayeredMap
 from mapping.palette import Palette

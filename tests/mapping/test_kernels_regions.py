@@ -137,6 +137,9 @@ def test_points_see_each_other_where_no_wall_crosses_their_line(points: np.ndarr
     for i in range(len(points)):
         for j in range(i):
             line = shapely.LineString(points[[i, j]])
+            ends = [shapely.Point(points[k]) for k in (i, j)]
+            if any(wall.distance(end) < 1e-9 for wall in lines for end in ends):
+                continue  # whether what ends at a wall crosses it is a matter of rounding
             crossed = any(line.crosses(wall) for wall in lines)
             expected = np.inf if crossed else line.length
             assert distance[i, j] == pytest.approx(expected)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mapping.class_histogram import aligned_box
+from mapping.histograms import aligned_box
 from mapping.labelled import EMPTY, LABELLED, UNSEEN
 from mapping.layered import LayeredMap
 from mapping.observations import RgbdImage

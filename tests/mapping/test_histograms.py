@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapping.class_histogram import aligned_box, class_histogram
 from mapping.errors import InvalidParameter
 from mapping.geometry import SE3
+from mapping.histograms import aligned_box, class_histogram
 from mapping.mesh import Mesh
 from mapping.observations import Box3d
 from mapping.occupancy import FREE, OCCUPIED, OccupancyMap
