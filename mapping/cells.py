@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapping.errors import InvalidParameter, MappingError
-from mapping.grid import BLOCK_EDGE, BLOCK_VOXELS, as_blocks
+from mapping.grid import BLOCK_EDGE, BLOCK_VOXELS, as_blocks, check_array, check_state
 from mapping.kernels import cells
 from mapping.kernels.cells import UNKNOWN
 
@@ -212,17 +212,9 @@ class CellStore:
 
         Cells may be missing: maps of earlier versions held blocks alone.
         """
-        if self.n_nodes:
-            raise MappingError("a state can only be restored into an empty store")
-        missing = [name for name in ("block_ijk", "evidence") if name not in state]
-        if missing:
-            raise MappingError(f"the saved map lacks {', '.join(missing)}")
-        blocks, evidence = as_blocks(state["block_ijk"]), state["evidence"]
-        if evidence.shape != (len(blocks), BLOCK_VOXELS) or evidence.dtype != np.int8:
-            raise MappingError(
-                f"the saved map's evidence: expected int8 of shape {(len(blocks), BLOCK_VOXELS)}, "
-                f"got {evidence.dtype} of shape {evidence.shape}"
-            )
+        check_state(not self.n_nodes, state, ("block_ijk", "evidence"))
+        blocks = as_blocks(state["block_ijk"])
+        evidence = check_array(state, "evidence", np.int8, (len(blocks), BLOCK_VOXELS))
         if "cell_ijk" not in state:
             self.write(blocks, evidence, revision)
             return

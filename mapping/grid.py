@@ -7,7 +7,7 @@ linear index is lx·64 + ly·8 + lz. (After Nießner et al., Real-time 3D Recons
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -88,6 +88,26 @@ def new_table(block_ijk: NDArray[np.int32], n_blocks: int, capacity: int) -> NDA
     table = np.full((1 << max(6, (2 * capacity - 1).bit_length()), 2), -1, np.int64)
     hashing.refill(table, read_only(block_ijk), n_blocks)
     return table
+
+
+def check_state(empty: bool, state: Mapping[str, Array], names: Iterable[str]) -> None:
+    """Raises `MappingError` where a state cannot be restored: into what is not empty, or for want of arrays `names`."""
+    if not empty:
+        raise MappingError("a state can only be restored into an empty store")
+    missing = [name for name in names if name not in state]
+    if missing:
+        raise MappingError(f"the saved map lacks {', '.join(missing)}")
+
+
+def check_array(state: Mapping[str, Array], name: str, dtype: DTypeLike, shape: tuple[int, ...]) -> Array:
+    """The array `name` of a saved map; raises `MappingError` where it is of another type or shape."""
+    values = state[name]
+    if values.shape != shape or values.dtype != dtype:
+        raise MappingError(
+            f"the saved map's {name}: expected {np.dtype(dtype)} of shape {shape}, "
+            f"got {values.dtype} of shape {values.shape}"
+        )
+    return values
 
 
 class BlockStore:
@@ -226,20 +246,10 @@ class BlockStore:
     def restore(self, state: Mapping[str, Array], revision: int = 1) -> None:
         """Take over what `state()` gave, into an empty store, as changed at `revision`; raises `MappingError` where it
         does not fit."""
-        if self._n_blocks:
-            raise MappingError("a state can only be restored into an empty store")
-        missing = [name for name in ("block_ijk", *self.fields) if name not in state]
-        if missing:
-            raise MappingError(f"the saved map lacks {', '.join(missing)}")
+        check_state(not self._n_blocks, state, ("block_ijk", *self.fields))
         blocks = as_blocks(state["block_ijk"])
-        for name in self.fields:
-            expected = (len(blocks), self.n_cells, *self._dtypes[name].shape)
-            values = state[name]
-            if values.shape != expected or values.dtype != self._dtypes[name].base:
-                raise MappingError(
-                    f"the saved map's {name}: expected {self._dtypes[name].base} of shape {expected}, "
-                    f"got {values.dtype} of shape {values.shape}"
-                )
+        for name, dtype in self._dtypes.items():
+            check_array(state, name, dtype.base, (len(blocks), self.n_cells, *dtype.shape))
         self.allocate(blocks)
         if self._n_blocks != len(blocks):
             raise MappingError("the saved map names a block twice")

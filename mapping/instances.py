@@ -410,7 +410,7 @@ class InstanceMap(PackedLayer):
 
     def query(self, p_map: ArrayLike) -> NDArray[np.uint32]:
         """The instance (N,) that holds each point (N, 3) [m]; 0 where none does that was seen more than once."""
-        ids = self._id_of * np.isin(self._id_of, [i.id for i in self.instances.values() if i.views >= CONFIRMED_VIEWS])
+        ids = np.where(self._classes() > 0, self._id_of, 0)
         return ids[self._leaders(self.store.rows(self.store.cells_at(p_map)))].astype(np.uint32)
 
     def _classes(self) -> NDArray[np.uint16]:

@@ -147,16 +147,29 @@ class MapLayer(ABC):
         return cls.from_state(state)
 
 
-class BlockLayer(MapLayer):
-    """A layer whose voxels lie in a `BlockStore`."""
+class SlotStore(Store, Protocol):
+    """A store that gives its blocks slots, and keeps when each changed."""
 
-    store: BlockStore
+    @property
+    def changed_at(self) -> NDArray[np.int64]: ...
+
+
+class SlotLayer(MapLayer):
+    """A layer whose store has slots."""
+
+    store: SlotStore
 
     def _note(self, slots: Array) -> Changed:
         """Count one update that changed the blocks in `slots` (K,), each named once."""
         self.revision += 1
         self.store.changed_at[slots] = self.revision
         return Changed(self.block_ijk[slots], self.block_size_m)
+
+
+class BlockLayer(SlotLayer):
+    """A layer whose voxels lie in a `BlockStore`."""
+
+    store: BlockStore
 
 
 def require(name: str, value: float, low: float, high: float, unit: str = "") -> float:

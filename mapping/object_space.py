@@ -5,9 +5,8 @@ After *Semantic 3D mapping from deep image segmentation* (Martín et al. 2021, s
 in a k-d tree spreads from the point at the mask's centre over connected voxels of the output's resolution. Here all
 26-connected components of voxels are found at once, in linear time, and the object's is told by where it lies in the
 mask: a centre that is not on the object, a hole, or an obstacle in front do not matter. Where the image is known, the
-rim of
-the mask, as wide as masks bleed, has to go on from the object without a jump as well. Output is what the paper gives
-out: points, an oriented box, and a coloured octree.
+rim of the mask, as wide as masks bleed, has to go on from the object without a jump as well. Output is what the paper
+gives out: points, an oriented box, and a coloured octree.
 """
 
 from __future__ import annotations

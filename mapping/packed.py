@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from mapping.errors import MappingError
-from mapping.grid import BLOCK_EDGE, BlockStore, as_blocks, as_points, join_ijk, split_ijk
+from mapping.grid import BLOCK_EDGE, BlockStore, as_blocks, as_points, check_array, check_state, join_ijk, split_ijk
 from mapping.kernels import packed as kernels
-from mapping.layer import Changed, MapLayer
+from mapping.layer import SlotLayer
 
 Array: TypeAlias = NDArray[Any]
 
@@ -188,24 +188,12 @@ class PackedStore:
     def restore(self, state: Mapping[str, Array], revision: int = 1) -> None:
         """Take over what `state()` gave, into an empty store, as changed at `revision`; raises `MappingError` where it
         does not fit."""
-        if self.n_blocks:
-            raise MappingError("a state can only be restored into an empty store")
-        missing = [name for name in ("block_ijk", "masks", *self.fields) if name not in state]
-        if missing:
-            raise MappingError(f"the saved map lacks {', '.join(missing)}")
-        blocks, masks = as_blocks(state["block_ijk"]), state["masks"]
-        if masks.shape != (len(blocks), BLOCK_EDGE) or masks.dtype != np.uint64:
-            raise MappingError(
-                f"the saved map's masks: expected uint64 of shape {(len(blocks), BLOCK_EDGE)}, "
-                f"got {masks.dtype} of shape {masks.shape}"
-            )
+        check_state(not self.n_blocks, state, ("block_ijk", "masks", *self.fields))
+        blocks = as_blocks(state["block_ijk"])
+        masks = check_array(state, "masks", np.uint64, (len(blocks), BLOCK_EDGE))
         n = int(kernels.count_records(masks))
         for name, field in self.fields.items():
-            if state[name].shape != (n, field.shape[1]) or state[name].dtype != field.dtype:
-                raise MappingError(
-                    f"the saved map's {name}: expected {field.dtype} of shape {(n, field.shape[1])}, "
-                    f"got {state[name].dtype} of shape {state[name].shape}"
-                )
+            check_array(state, name, field.dtype, (n, field.shape[1]))
         self.allocate(blocks)
         if self.n_blocks != len(blocks):
             raise MappingError("the saved map names a block twice")
@@ -218,13 +206,7 @@ class PackedStore:
         self.changed_at[: len(blocks)] = revision
 
 
-class PackedLayer(MapLayer):
+class PackedLayer(SlotLayer):
     """A layer whose voxels lie in a `PackedStore`."""
 
     store: PackedStore
-
-    def _note(self, slots: Array) -> Changed:
-        """Count one update that changed the blocks in `slots` (K,), each named once."""
-        self.revision += 1
-        self.store.changed_at[slots] = self.revision
-        return Changed(self.block_ijk[slots], self.block_size_m)

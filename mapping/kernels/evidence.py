@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mapping.kernels.hashing import find_or_insert, lookup
+from mapping.kernels.hashing import lookup, number_new
 from mapping.kernels.packed import has_record, row_of
 
 Array: TypeAlias = NDArray[Any]
@@ -27,6 +27,12 @@ MOST = 65535 // UNIT - 1
 """More evidence than this a voxel cannot hold: it is halved before."""
 DENSE_PIXELS = 0.5
 """Where pixels are narrower than this share of a voxel every other row and column is enough."""
+
+
+@njit(cache=True, inline="always")
+def rounded(amount: Float, u: Int, v: Int) -> Int:
+    """A whole number, up or down in turn from pixel to pixel (by Roberts' R₂ sequence), so that sums are right."""
+    return np.int64(amount + (0.7548776662 * u + 0.5698402910 * v) % 1.0)
 
 
 @njit(cache=True)
@@ -51,8 +57,7 @@ def runs_of_image(
     once.
 
     A pixel counts the share of a voxel's face that it covers, (z/f)² / v² or 1, so that a full view counts about one
-    whatever the distance; what a run counts is rounded up and down in turn (by Roberts' R₂ sequence), so that sums are
-    right.
+    whatever the distance; what a run counts is `rounded`.
     """
     height, width = depth.shape
     focal = camera[0] * camera[1]
@@ -94,22 +99,13 @@ def runs_of_image(
             if here == choice and i == a and j == b and k == c:
                 total += weight
                 continue
-            count = np.int64(total + (0.7548776662 * start + 0.5698402910 * v) % 1.0)
+            count = rounded(total, start, v)
             if choice != 0 and count > 0:
                 if a >> 3 != bi or b >> 3 != bj or c >> 3 != bk:
                     bi, bj, bk = a >> 3, b >> 3, c >> 3
                     slot = np.int64(lookup(table, bi, bj, bk))
                     if slot < 0:
-                        if 2 * n_found > len(fresh):
-                            fresh = np.full((4 * len(fresh), 2), -1, np.int64)
-                            for m in range(n_found):
-                                find_or_insert(fresh, found[m, 0], found[m, 1], found[m, 2], n_blocks + m)
-                        slot = np.int64(find_or_insert(fresh, bi, bj, bk, n_blocks + n_found))
-                        if slot == n_blocks + n_found:
-                            if n_found == len(found):
-                                found = np.concatenate((found, np.empty_like(found)))
-                            found[n_found, 0], found[n_found, 1], found[n_found, 2] = bi, bj, bk
-                            n_found += 1
+                        slot, fresh, found, n_found = number_new(fresh, found, n_found, n_blocks, bi, bj, bk)
                 cell = slot << 9 | (a & 7) << 6 | (b & 7) << 3 | (c & 7)
                 cells[n], said[n], counts[n] = cell, choice, count
                 n += 1

@@ -72,6 +72,28 @@ def find_or_insert(table: Array, bi: Int, bj: Int, bk: Int, slot: Int) -> Int:
 
 
 @njit(cache=True)
+def number_new(
+    fresh: Array, found: Array, n: Int, first: Int, bi: Int, bj: Int, bk: Int
+) -> tuple[Int, Array, Array, Int]:
+    """The slot of a block that a table does not have, where such blocks are numbered on from `first` as they appear.
+
+    fresh (m, 2) int64, found (·, 3) int32: a table of these blocks, and the blocks; n: how many there are already
+    Returns the slot, and fresh, found and n with this block in them; both arrays are replaced where they are full.
+    """
+    if 2 * n > len(fresh):
+        fresh = np.full((4 * len(fresh), 2), -1, np.int64)
+        for m in range(n):
+            find_or_insert(fresh, found[m, 0], found[m, 1], found[m, 2], first + m)
+    slot = find_or_insert(fresh, bi, bj, bk, first + n)
+    if slot == first + n:
+        if n == len(found):
+            found = np.concatenate((found, np.empty_like(found)))
+        found[n, 0], found[n, 1], found[n, 2] = bi, bj, bk
+        n += 1
+    return slot, fresh, found, n
+
+
+@njit(cache=True)
 def find_all(table: Array, block_ijk: Array, slots: Array) -> Int:
     """Write the slot of each block (k, 3) into `slots` (k,), −1 where there is none; returns how many are missing."""
     missing = 0

@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mapping.kernels.evidence import UNIT, give
-from mapping.kernels.hashing import find_or_insert, lookup
+from mapping.kernels.evidence import UNIT, give, rounded
+from mapping.kernels.hashing import lookup, number_new
 from mapping.kernels.packed import has_record, row_of
 
 Array: TypeAlias = NDArray[Any]
@@ -119,16 +119,7 @@ def trace(
                     bi, bj, bk = i >> 3, j >> 3, k >> 3
                     slot = np.int64(lookup(table, bi, bj, bk))
                 if slot < 0 and owner > 0:
-                    if 2 * n_found > len(fresh):
-                        fresh = np.full((4 * len(fresh), 2), -1, np.int64)
-                        for m in range(n_found):
-                            find_or_insert(fresh, found[m, 0], found[m, 1], found[m, 2], n_blocks + m)
-                    slot = np.int64(find_or_insert(fresh, bi, bj, bk, n_blocks + n_found))
-                    if slot == n_blocks + n_found:
-                        if n_found == len(found):
-                            found = np.concatenate((found, np.empty_like(found)))
-                        found[n_found, 0], found[n_found, 1], found[n_found, 2] = bi, bj, bk
-                        n_found += 1
+                    slot, fresh, found, n_found = number_new(fresh, found, n_found, n_blocks, bi, bj, bk)
                 if slot >= 0:
                     cell = slot << 9 | (i & 7) << 6 | (j & 7) << 3 | (k & 7)
                 weight = 0.0
@@ -137,7 +128,7 @@ def trace(
             if cell != at or owner != whose:
                 if at >= 0:
                     cells[n], owners[n], pixels[n] = at, whose, count
-                    votes[n] = np.int64(total + (0.7548776662 * u + 0.5698402910 * v) % 1.0)
+                    votes[n] = rounded(total, u, v)
                     each = 1.0 / total if total > 0.0 else 0.0
                     offsets[n, 0], offsets[n, 1], offsets[n, 2] = sx * each, sy * each, sz * each
                     if votes[n] > 0 and (at >> 9 >= n_blocks or not has_record(masks, at)):
