@@ -18,6 +18,7 @@ from scenegraph.simulation.structure import TruePlane
 
 LEAST_PIXELS = 1500
 """Smaller masks are left out: they say little about shape."""
+GROW_BACK_PX = 3
 SAMPLES = 16  # along the way from a bled pixel to the object
 
 
@@ -123,23 +124,42 @@ def eroded(mask: np.ndarray, pixels: int) -> np.ndarray:
     return np.asarray(ndimage.binary_erosion(mask, np.ones((3, 3), bool), iterations=pixels, border_value=1))
 
 
+def _linked(depth: np.ndarray, axis: int) -> np.ndarray:
+    """Which pixels (H, W) lie on one surface with the one before them along an axis: both measured, and no jump."""
+    near = np.roll(depth, 1, axis)
+    linked = (depth > 0.0) & (near > 0.0) & (np.abs(depth - near) <= 0.03 + 0.01 * np.minimum(depth, near))
+    linked[(0, slice(None)) if axis == 0 else (slice(None), 0)] = False
+    return linked
+
+
+def _grown(own: np.ndarray, links: list[np.ndarray]) -> np.ndarray:
+    """Pixels and those next to them that lie on one surface with them."""
+    grown = own.copy()
+    for axis, linked in enumerate(links):
+        grown |= linked & np.roll(own, 1, axis)
+        grown |= np.roll(linked & own, -1, axis)
+    return grown
+
+
 def depth_clusters(image: RgbdImage, *, seed: int, largest: int = 100_000) -> Iterator[MaskedImage]:
     """Masks of a real image by a rule: surfaces between which the depth jumps by more than 3 cm and 1 % are one cluster
     each, of `LEAST_PIXELS` to `largest` pixels; each then bleeds by 3 to 8 pixels. What the cluster holds is the truth.
+
+    Clusters are found two pixels from every jump, so that no stray pixel bridges one, and then grow back to the jumps.
     """
     depth = as_depth_m(image.depth)
     depth = np.where(np.isfinite(depth) & (depth < 4.0), depth, 0.0).astype(np.float32)
     rng = np.random.default_rng(seed)
-    apart = depth <= 0.0
-    for axis in (0, 1):
-        near = np.roll(depth, 1, axis)
-        apart |= (np.abs(depth - near) > 0.03 + 0.01 * depth) & (near > 0.0)
-    numbers, _ = ndimage.label(~ndimage.binary_dilation(apart))
+    links = [_linked(depth, axis) for axis in (0, 1)]
+    jumps = [(depth > 0.0) & ~linked for linked in links]
+    numbers, _ = ndimage.label(~ndimage.binary_dilation(jumps[0] | jumps[1] | (depth <= 0.0)))
     sizes = np.bincount(numbers.ravel())
     for number in np.flatnonzero((sizes >= LEAST_PIXELS) & (sizes <= largest)).tolist():
         if number == 0:
             continue
-        own = ndimage.binary_dilation(numbers == number, iterations=2) & ~apart
+        own = numbers == number
+        for _ in range(GROW_BACK_PX):
+            own = _grown(own, links)
         reach = ndimage.distance_transform_edt(~own)
         mask = reach <= rng.integers(3, 9)
         bled = mask & ~own & (depth > 0.0)
