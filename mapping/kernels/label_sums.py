@@ -134,7 +134,6 @@ def sum_labels(
             table = np.full((2 * room, 2), -1, np.int64)
             for s in range(n):
                 slot_of(table, pack(ijk[s, 0], ijk[s, 1], ijk[s, 2]), label_of[s], s)
-    squares = squares[:n].copy()
     for s in range(n):
         x, y, z = sums[s, 0] / sums[s, 3], sums[s, 1] / sums[s, 3], sums[s, 2] / sums[s, 3]
         if with_squares:
@@ -144,4 +143,4 @@ def sum_labels(
             squares[s, 1], squares[s, 4] = max(squares[s, 1] - y * y, 0.0), squares[s, 4] - x * z
             squares[s, 2], squares[s, 5] = max(squares[s, 2] - z * z, 0.0), squares[s, 5] - y * z
         sums[s, 0], sums[s, 1], sums[s, 2] = ijk[s, 0] + x, ijk[s, 1] + y, ijk[s, 2] + z
-    return ijk[:n].copy(), label_of[:n].copy(), sums[:n].copy(), squares
+    return ijk[:n], label_of[:n], sums[:n], squares[:n]

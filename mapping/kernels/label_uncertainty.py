@@ -162,7 +162,7 @@ def merge_sources(
                 around[slot, d, e] += share * (own[d, e] - around[slot, d, e] + (1.0 - share) * apart)
         for d in range(3):
             mean[slot, d] += share * (sums[s, d] - mean[slot, d])
-    return label_of[:n].copy(), mean[:n].copy(), evidence[:n].copy(), around[:n].copy()
+    return label_of[:n], mean[:n], evidence[:n], around[:n]
 
 
 @njit(cache=True)
