@@ -10,6 +10,7 @@ SceneGraphError
 ├── RevisionGap            a mirror was given a delta that does not follow its revision
 ├── HistoryUnavailable     a time before the remembered past
 ├── ExportError            a format that is not known, or a file that cannot be written
+├── GraphUnreadable        a file that holds no graph in a format that is known (also a ValueError)
 ├── PictureError           a picture that cannot be drawn from what was given
 └── StoreError             a stored world that cannot be written or read
     ├── StoreForeign       the file is not a stored world
@@ -32,6 +33,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 __all__ = [
     "DanglingEdge",
     "ExportError",
+    "GraphUnreadable",
     "HistoryUnavailable",
     "InvalidConfig",
     "InvalidGraphValue",
@@ -126,6 +128,12 @@ class ExportError(SceneGraphError):
     """A graph cannot be written in the format or to the place asked for."""
 
     code = "export_failed"
+
+
+class GraphUnreadable(SceneGraphError, ValueError):
+    """A file or document is no graph in a format that is known, or a damaged one; the message names the place."""
+
+    code = "graph_unreadable"
 
 
 class PictureError(SceneGraphError):

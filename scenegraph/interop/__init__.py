@@ -5,22 +5,31 @@ node_link : JSON of networkx: `networkx.node_link_graph(document, edges="edges")
 graphml   : XML of graph tools (yEd, Gephi, networkx): flat attributes
 csv       : a table of the objects, a line each
 json      : our own snapshot
+
+`read_graph` reads all but tables.
 """
 
 from scenegraph.interop.export import FORMATS, Format, export_graph, render_graph
-from scenegraph.interop.graphml import graphml_text
-from scenegraph.interop.node_link import node_link_document
+from scenegraph.interop.graphml import graphml_text, read_graphml
+from scenegraph.interop.node_link import from_networkx, node_link_document, read_node_link
+from scenegraph.interop.reading import read_graph
 from scenegraph.interop.spark_dsg import spark_dsg_document
+from scenegraph.interop.spark_dsg_reading import read_spark_dsg
 from scenegraph.interop.table import object_rows, objects_csv
 
 __all__ = [
     "FORMATS",
     "Format",
     "export_graph",
+    "from_networkx",
     "graphml_text",
     "node_link_document",
     "object_rows",
     "objects_csv",
+    "read_graph",
+    "read_graphml",
+    "read_node_link",
+    "read_spark_dsg",
     "render_graph",
     "spark_dsg_document",
 ]

@@ -1,4 +1,4 @@
-"""Any of the formats by its name, as text or into a file."""
+"""Any of the formats by its name, as bytes or into a file."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ __all__ = ["FORMATS", "Format", "export_graph", "render_graph"]
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """One way to write a graph: its text, the usual ending of a file, and its media type."""
+    """One way to write a graph: its bytes, the usual ending of a file, and its media type."""
 
-    render: Callable[[SceneGraph], str]
+    render: Callable[[SceneGraph], bytes]
     suffix: str
     media_type: str
 
 
 FORMATS: dict[str, Format] = {
-    "json": Format(lambda graph: graph.snapshot().model_dump_json(), ".json", "application/json"),
-    "spark_dsg": Format(lambda graph: json.dumps(spark_dsg_document(graph)), ".json", "application/json"),
-    "node_link": Format(lambda graph: json.dumps(node_link_document(graph)), ".json", "application/json"),
-    "graphml": Format(graphml_text, ".graphml", "application/graphml+xml"),
-    "csv": Format(objects_csv, ".csv", "text/csv"),
+    "json": Format(lambda graph: graph.snapshot().model_dump_json().encode(), ".json", "application/json"),
+    "spark_dsg": Format(lambda graph: json.dumps(spark_dsg_document(graph)).encode(), ".json", "application/json"),
+    "node_link": Format(lambda graph: json.dumps(node_link_document(graph)).encode(), ".json", "application/json"),
+    "graphml": Format(lambda graph: graphml_text(graph).encode(), ".graphml", "application/graphml+xml"),
+    "csv": Format(lambda graph: objects_csv(graph).encode(), ".csv", "text/csv"),
 }
 """The formats of a whole graph, by name."""
 
 
-def render_graph(graph: SceneGraph, name: str) -> str:
-    """The graph in the format of this name. Raises ExportError when there is none."""
+def render_graph(graph: SceneGraph, name: str) -> bytes:
+    """The graph in the format of this name; text is UTF-8. Raises ExportError when there is none."""
     if name not in FORMATS:
         near = nearest(name, FORMATS)
         raise ExportError(
@@ -49,15 +49,15 @@ def render_graph(graph: SceneGraph, name: str) -> str:
 
 
 def export_graph(graph: SceneGraph, name: str, path: str | Path) -> Path:
-    """Write the graph to a file (UTF-8), replacing what was there, and return its path.
+    """Write the graph to a file, replacing what was there, and return its path.
 
     The file is complete or untouched. Raises ExportError when the format is unknown or the file cannot be written.
     """
     path = Path(path)
-    text = render_graph(graph, name)
+    data = render_graph(graph, name)
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        partial.write_text(text, encoding="utf-8", newline="")
+        partial.write_bytes(data)
         os.replace(partial, path)
     except OSError as error:
         raise ExportError(

@@ -57,8 +57,7 @@ def graph_as(snapshot: Snapshot, name: str) -> tuple[bytes, str]:
 
     if name not in FORMATS:
         raise ExportError(f"format: expected one of cbor, {', '.join(FORMATS)}, got {name[:40]!r}")
-    text = render_graph(SceneGraph.from_snapshot(snapshot, history_limit=0), name)
-    return text.encode(), FORMATS[name].media_type
+    return render_graph(SceneGraph.from_snapshot(snapshot, history_limit=0), name), FORMATS[name].media_type
 
 
 def read_box(text: str | None) -> NDArray[np.float64] | None:
