@@ -231,9 +231,12 @@ def ask(
     explain: Annotated[bool, typer.Option("--explain", help="Say why, or why not.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Ask a question. Exit status 0: yes, 1: no or unknown."""
+    """Ask a question. Exit status 0: yes, 1: no or unknown.
+
+    --map may also name a graph without a map: JSON of spark_dsg or networkx, GraphML.
+    """
     printer = Printer(json=as_json)
-    with _opened(map_path, connect, world) as target:
+    with _opened(map_path, connect, world, graphs=True) as target:
         answers = target.ask(goal, robot=robot, limit=limit, timeout_s=timeout_s)
         rows = [dict(row) for row in answers]
         why = plain_explanation(answers.explain()) if explain else None
@@ -354,7 +357,10 @@ def evaluate(
 def export(
     form: Annotated[
         str,
-        typer.Option("--format", help="json, spark_dsg, node_link, graphml, csv, png, cost, ply, mesh, ot, bt, npz."),
+        typer.Option(
+            "--format",
+            help="json, spark_dsg, node_link, graphml, csv, parquet, gltf, png, cost, ply, mesh, ot, bt, npz.",
+        ),
     ],
     output: Annotated[Path, typer.Option(help="The file to write.")],
     layer: Annotated[
@@ -376,7 +382,8 @@ def export(
 
     ply is the mesh, or with --layer semantics a cloud of labelled points; mesh and ot (OctoMap) are in the colours of
     classes; cost is a grid for navigation, a PNG beside a YAML file as map_server reads them, or, by the name of the
-    file, arrays (.npz) or all surfaces in space (.ply).
+    file, arrays (.npz) or all surfaces in space (.ply). --map may also name a graph without a map (JSON of spark_dsg
+    or networkx, GraphML), which is then written in another format of graphs.
     """
     from scenegraph import exporting
 
@@ -385,8 +392,8 @@ def export(
     if (form == "cost") != (costs is not None):
         raise typer.BadParameter("--costs FILE belongs to --format cost, and --format cost needs it")
     absent: tuple[str, ...] = ()
-    with _opened(map_path, connect, world) as target:
-        source = exporting.Saved(target) if map_path else exporting.Served(target)
+    with _opened(map_path, connect, world, graphs=True) as target:
+        source = exporting.source_of(target)
         if costs is not None:
             path, absent = exporting.export_cost(source, costs, output, band_m=band)
         else:
@@ -443,12 +450,18 @@ def _client(endpoint: str | None, world: str) -> AbstractContextManager[Any]:
     return Client(world, endpoint)
 
 
-def _opened(map_path: Path | None, connect: str | None, world: str) -> AbstractContextManager[Any]:
-    """A saved world, or a server's: both know the same verbs."""
+def _opened(
+    map_path: Path | None, connect: str | None, world: str, *, graphs: bool = False
+) -> AbstractContextManager[Any]:
+    """A saved world, or a server's: both know the same verbs. With `graphs` a graph in a file will do, too."""
     if map_path is not None and connect is not None:
         raise typer.BadParameter("--map and --connect exclude each other")
     if map_path is None:
         return _client(connect, world)
+    if graphs:
+        from scenegraph.importing import open_map
+
+        return open_map(map_path)
     from scenegraph.world import World
 
     return World.load(map_path)

@@ -6,7 +6,7 @@ import io
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,13 @@ from scenegraph.errors import ExportError, nearest
 
 if TYPE_CHECKING:
     from scenegraph.graph import SceneGraph
+    from scenegraph.importing import GraphFile
     from scenegraph.service.client import Client
     from scenegraph.world import World
 
 __all__ = [
     "LAYER_OF",
+    "Imported",
     "Saved",
     "Served",
     "Source",
@@ -29,6 +31,7 @@ __all__ = [
     "export_cost",
     "formats",
     "layers_of_server",
+    "source_of",
     "write_text",
 ]
 
@@ -83,6 +86,21 @@ class Saved:
         return exports.layer_as(name, form, exports.Copies(self._world, name, form, exports.read_box(box)))[0]
 
 
+class Imported:
+    """A graph without a map."""
+
+    classes: ClassVar[list[ClassInfo]] = []
+
+    def __init__(self, graph: SceneGraph) -> None:
+        self.graph = graph
+
+    def layer(self, name: str) -> Any:
+        raise ExportError(f"{name}: a graph that was read from a file has no map")
+
+    def written(self, name: str, form: str, box: str | None) -> bytes:
+        raise ExportError(f"{form} is made from the map: a graph that was read from a file has none")
+
+
 class Served:
     """A world on a server; each layer is fetched when it is asked for."""
 
@@ -126,6 +144,16 @@ class Served:
         return self._arrays[name]
 
 
+def source_of(target: World | Client | GraphFile) -> Source:
+    """What can be exported of a world, a server's world or a graph in a file."""
+    from scenegraph.importing import GraphFile
+    from scenegraph.world import World
+
+    if isinstance(target, World):
+        return Saved(target)
+    return Imported(target.graph) if isinstance(target, GraphFile) else Served(target)
+
+
 def formats() -> list[str]:
     """The names of all formats."""
     from scenegraph.interop import FORMATS
@@ -151,13 +179,14 @@ def write_text(path: Path, text: str) -> None:
 def export(source: Source, name: str, path: str | Path, *, layer: str | None = None, box: str | None = None) -> Path:
     """Write a world in the format of this name to a file, and return its path.
 
-    source  json, spark_dsg, node_link, graphml and csv are made from its graph; png (picture) from graph and surface
+    source  json, spark_dsg, node_link, graphml, csv and parquet are made from its graph; png (picture) and gltf from
+            graph and surface; gltf of a graph without a map has boxes only
     layer   of which map layer ply, mesh, ot, bt and npz are, such as "semantics"; default: see `LAYER_OF`
     box     `x0,y0,z0,x1,y1,z1` [m]: only the blocks of the layer that meet it
 
     Raises `ExportError` when there is no such format or the file cannot be written.
     """
-    from scenegraph.interop import export_graph
+    from scenegraph.interop import export_graph, gltf_bytes
 
     check_format(name)
     if name == "cost":
@@ -171,6 +200,9 @@ def export(source: Source, name: str, path: str | Path, *, layer: str | None = N
         _writing(path, lambda: path.write_bytes(data))
     elif name == "png":
         _writing(path, lambda: _draw(source, path))
+    elif name == "gltf" and not isinstance(source, Imported):
+        model = gltf_bytes(source.graph, source.layer("tsdf").mesh())
+        _writing(path, lambda: path.write_bytes(model))
     else:
         export_graph(source.graph, name, path)
     return path

@@ -10,10 +10,11 @@ from pathlib import Path
 
 from scenegraph.errors import ExportError, nearest
 from scenegraph.graph import SceneGraph
+from scenegraph.interop.gltf import gltf_bytes
 from scenegraph.interop.graphml import graphml_text
 from scenegraph.interop.node_link import node_link_document
 from scenegraph.interop.spark_dsg import spark_dsg_document
-from scenegraph.interop.table import objects_csv
+from scenegraph.interop.table import objects_csv, objects_parquet
 
 __all__ = ["FORMATS", "Format", "export_graph", "render_graph"]
 
@@ -33,6 +34,8 @@ FORMATS: dict[str, Format] = {
     "node_link": Format(lambda graph: json.dumps(node_link_document(graph)).encode(), ".json", "application/json"),
     "graphml": Format(lambda graph: graphml_text(graph).encode(), ".graphml", "application/graphml+xml"),
     "csv": Format(lambda graph: objects_csv(graph).encode(), ".csv", "text/csv"),
+    "parquet": Format(objects_parquet, ".parquet", "application/vnd.apache.parquet"),
+    "gltf": Format(gltf_bytes, ".glb", "model/gltf-binary"),
 }
 """The formats of a whole graph, by name."""
 

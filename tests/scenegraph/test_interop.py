@@ -10,9 +10,22 @@ import networkx as nx
 import numpy as np
 import pytest
 
+from mapping.mesh import Mesh
+from scenegraph.cli import app
 from scenegraph.errors import ExportError
 from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph, Snapshot
-from scenegraph.interop import FORMATS, export_graph, node_link_document, objects_csv, render_graph, spark_dsg_document
+from scenegraph.importing import GraphFile, open_map
+from scenegraph.interop import (
+    FORMATS,
+    export_graph,
+    gltf_bytes,
+    node_link_document,
+    object_rows,
+    objects_csv,
+    read_graph,
+    render_graph,
+    spark_dsg_document,
+)
 
 SEEN = {"first_seen_ns": 1_700_000_000_000_000_000, "last_seen_ns": 1_700_000_001_000_000_001}
 
@@ -152,3 +165,106 @@ def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="cannot be written"):
         export_graph(home(), "csv", tmp_path / "none" / "x")
     assert list(tmp_path.iterdir()) == []
+
+
+# -- models for viewers ----------------------------------------------------------------------------------------------
+
+
+def test_another_reader_finds_every_thing_of_the_model_where_it_is() -> None:
+    trimesh = pytest.importorskip("trimesh")
+    graph = home()
+    scene = trimesh.load(io.BytesIO(render_graph(graph, "gltf")), file_type="glb")
+    named = {name.split()[0]: name for name in scene.graph.nodes}
+    assert {node.id for node in graph} <= set(named)
+    assert named["object_3"].startswith("object_3 telly")
+    T_gltf_map = scene.graph.get("map")[0]
+    np.testing.assert_allclose(T_gltf_map @ (1, 2, 3, 1), (1, 3, -2, 1), atol=1e-9)  # y up
+    for node in graph:
+        T_gltf_thing, shape = scene.graph.get(named[node.id])
+        if node.box is None:
+            if "footprint" not in node.attributes:
+                p_gltf = T_gltf_map @ (*node.position, 1)
+                np.testing.assert_allclose(T_gltf_thing[:3, 3], p_gltf[:3], atol=1e-9)
+            else:
+                assert scene.geometry[shape].area == pytest.approx(7.0)  # of the triangle (0, 0), (4, 0), (4, 3.5)
+            continue
+        corners = trimesh.transform_points(scene.geometry[shape].vertices, np.linalg.inv(T_gltf_map) @ T_gltf_thing)
+        distances = np.linalg.norm(corners[:, None] - node.box.corners()[None], axis=2)
+        assert distances.min(axis=0).max() < 1e-6
+        assert distances.min(axis=1).max() < 1e-6
+    cube = scene.geometry[scene.graph.get(named["object_3"])[1]].copy()
+    cube.merge_vertices(merge_norm=True, merge_tex=True)
+    assert cube.is_watertight
+    assert cube.is_winding_consistent
+    assert cube.volume == pytest.approx(1.0)  # faces look outwards
+
+
+def test_the_surface_is_in_the_model_with_its_colours() -> None:
+    trimesh = pytest.importorskip("trimesh")
+    mesh = Mesh(
+        vertices=np.array([[0, 0, 0], [2, 0, 0], [0, 2, 1]], np.float32),
+        triangles=np.array([[0, 1, 2]], np.int32),
+        normals=np.tile(np.array([0, 0, 1], np.float32), (3, 1)),
+        colors=np.array([[255, 0, 0], [0, 255, 0], [188, 188, 188]], np.uint8),
+    )
+    scene = trimesh.load(io.BytesIO(gltf_bytes(home(), mesh)), file_type="glb")
+    T, shape = scene.graph.get("surface")
+    found = scene.geometry[shape]
+    np.testing.assert_allclose(
+        trimesh.transform_points(found.vertices, T), [[0, 0, 0], [2, 0, 0], [0, 1, -2]], atol=1e-6
+    )
+    assert found.faces.tolist() == [[0, 1, 2]]
+    red, green, grey = np.asarray(found.visual.vertex_attributes["color"])[:, :3] / 65535
+    np.testing.assert_allclose((red, green), ((1, 0, 0), (0, 1, 0)))
+    np.testing.assert_allclose(grey, 0.5, atol=0.01)  # half the light, as 188 of 255 is in sRGB
+
+
+def test_open3d_reads_the_model(tmp_path: Path) -> None:
+    import open3d
+
+    path = export_graph(home(), "gltf", tmp_path / "home.glb")
+    model = open3d.io.read_triangle_model(str(path))
+    assert len(model.meshes) == sum(node.box is not None or "footprint" in node.attributes for node in home())
+
+
+def test_an_empty_model_is_one() -> None:
+    trimesh = pytest.importorskip("trimesh")
+    scene = trimesh.load(io.BytesIO(render_graph(SceneGraph(), "gltf")), file_type="glb")
+    assert len(scene.geometry) == 0
+
+
+# -- the table -------------------------------------------------------------------------------------------------------
+
+
+def test_parquet_holds_the_same_table_with_types() -> None:
+    pq = pytest.importorskip("pyarrow.parquet")
+    graph = home()
+    table = pq.read_table(io.BytesIO(render_graph(graph, "parquet")))
+    assert table.to_pylist() == object_rows(graph)
+    kinds = {name: str(kind) for name, kind in zip(table.schema.names, table.schema.types, strict=True)}
+    assert (kinds["id"], kinds["x_m"], kinds["last_seen_ns"]) == ("string", "double", "int64")
+
+
+# -- graphs from files, asked and converted --------------------------------------------------------------------------
+
+
+def test_a_graph_from_a_file_can_be_asked(tmp_path: Path) -> None:
+    path = export_graph(home(), "spark_dsg", tmp_path / "home.json")
+    with open_map(path) as asked:
+        assert isinstance(asked, GraphFile)
+        assert {row["X"].id for row in asked.ask("in(X, room_0)")} == {"object_3", "object_12"}
+        assert asked.ask("on(object_3, table)").truth == "true"
+        assert asked.ask("object(X), label(X, table)").truth == "true"
+
+
+def test_a_graph_from_a_file_can_be_converted_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = export_graph(home(), "graphml", tmp_path / "home.graphml")
+    out = tmp_path / "home.json"
+    assert (
+        app(["export", "--format", "spark_dsg", "--map", str(path), "--output", str(out)], standalone_mode=False) == 0
+    )
+    assert len(read_graph(out)) == len(home())
+    assert app(["ask", "on(X, table)", "--map", str(out), "--json"], standalone_mode=False) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["answers"][0]["X"]["node"] == "object_3"
+    assert app(["export", "--format", "ply", "--map", str(out), "--output", str(out)], standalone_mode=False) == 2
+    assert "has none" in capsys.readouterr().err

@@ -1,0 +1,73 @@
+"""Graphs from other programs' files, to be asked as a world is."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+from reasoning.knowledge import KnowledgeBase
+from reasoning.terms import Atom
+from scenegraph import facts
+from scenegraph.answers import Answers
+from scenegraph.errors import StoreForeign
+from scenegraph.graph import SceneGraph
+from scenegraph.interop import read_graph
+from scenegraph.world import World
+
+__all__ = ["GraphFile", "open_map"]
+
+
+class GraphFile:
+    """A graph without a map, as `read_graph` read it: it can be asked and exported. A context manager.
+
+    Its edges are facts and its nodes have places and sizes, but nothing is measured between them: what no edge tells
+    is not known to hold.
+    """
+
+    def __init__(self, graph: SceneGraph) -> None:
+        self.graph = graph
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a file. Raises GraphUnreadable."""
+        return cls(read_graph(path))
+
+    @cached_property
+    def _knowledge(self) -> KnowledgeBase:
+        labels = sorted({node.label for node in self.graph.nodes("object")})
+        knowledge = KnowledgeBase()
+        knowledge.update(
+            put=[
+                *facts.class_facts((label, "thing", None) for label in labels),
+                *(fact for node in self.graph for fact in facts.node_facts(node)),
+                *map(facts.edge_fact, self.graph.edges()),
+            ]
+        )
+        return knowledge
+
+    def ask(self, goal: str, *, robot: str | None = None, limit: int = 100, timeout_s: float = 1.0) -> Answers:
+        """Ask a goal such as `in(X, room_1)`, as `World.ask`."""
+        viewer = None if robot is None else f"agent_{robot}"
+        reply = self._knowledge.ask(goal, limit=limit, timeout_s=timeout_s, explain=True, viewer=viewer)
+        named = {term.name for row in reply.answers for term in row.values() if isinstance(term, Atom)}
+        return Answers(reply, self.graph.revision, {i: self.graph.node(i) for i in named if i in self.graph})
+
+    def close(self) -> None:
+        """End the reasoner's process."""
+        if "_knowledge" in self.__dict__:
+            self._knowledge.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
+
+
+def open_map(path: Path) -> World | GraphFile:
+    """A stored world, or a graph of another format. Raises StoreError, GraphUnreadable."""
+    try:
+        return World.load(path)
+    except StoreForeign:
+        return GraphFile.load(path)
