@@ -13,7 +13,8 @@
 
 Each class of things in a room speaks for a type of room with a weight, once
 whatever their number. The type with the largest sum wins if the sum reaches
-enough_evidence/1. An operator's word, attribute(Room, type, Type), beats both.
+enough_evidence/1. An operator's word, attribute(Room, type, Type), beats all, and
+what lies under the open sky is outdoors, whatever stands there.
 */
 
 %!  enough_evidence(-Weight) is det.
@@ -90,8 +91,10 @@ hallway_doors(3).
 type_of_room(Type) :-
     setof(T, C^W^speaks_for(C, T, W), Types),
     member(Type, Types).
+type_of_room(outdoors).
 type_of_room(Type) :-
     attribute(Room, type, Type),
+    Type \== outdoors,
     node(Room, room),
     \+ speaks_for(_, Type, _).
 
@@ -104,8 +107,8 @@ room_type(Room, Type) :-
 
 %!  room_type(?Room, ?Type, -Reason) is nondet.
 %
-%   As room_type/2; Reason is told, or evidence(Sum, [speaks(Class, Weight), ...]) with
-%   the weightiest class first, or doors(Number).
+%   As room_type/2; Reason is told, or open_sky, or evidence(Sum, [speaks(Class, Weight), ...])
+%   with the weightiest class first, or doors(Number).
 
 room_type(Room, Type, Reason) :-
     node(Room, room),
@@ -128,6 +131,9 @@ type_with_reason(Room, Type, Reason) :-
 
 find_type(Room, Type, told) :-
     attribute(Room, type, Type),
+    !.
+find_type(Room, outdoors, open_sky) :-
+    attribute(Room, outdoors, true),
     !.
 find_type(Room, Type, evidence(Sum, Because)) :-
     classes_in(Room, Classes),

@@ -145,12 +145,36 @@ signature(next_to(thing, thing), "near, on the same support, with nothing betwee
 
 on(A, B) :- holds(on, A, B).
 supports(A, B) :- holds(supports, A, B).
-in(A, B) :- holds(in, A, B).
-contains(A, B) :- holds(contains, A, B).
+in(A, B) :- within(A, B).
+contains(A, B) :- within(B, A).
 above(A, B) :- holds(above, A, B).
 under(A, B) :- holds(under, A, B).
 near(A, B) :- holds(near, A, B).
 touching(A, B) :- holds(touching, A, B).
+
+%   within(?A, ?B): A is in B, or in a room of the storey or building B, or in a storey of the building B.
+within(A, B) :-
+    holds(in, A, B).
+within(A, B) :-
+    within_part(A, B).
+
+within_part(A, B) :-
+    (   nonvar(B)
+    ->  whole(B),
+        edge(in, Part, B, _, _, _),
+        within(A, Part)
+    ;   holds(in, A, Part),
+        whole_around(Part, B)
+    ).
+
+whole(B) :- node(B, storey).
+whole(B) :- node(B, building).
+
+whole_around(Part, Whole) :-
+    ( node(Part, room) ; node(Part, storey) ),
+    edge(in, Part, Next, _, _, _),
+    whole(Next),
+    ( Whole = Next ; whole_around(Next, Whole) ).
 
 %!  next_to(?A, ?B) is nondet.
 
@@ -299,7 +323,12 @@ possibly(Goal) :-
     Goal =.. [Relation, A, B],
     graded(Relation),
     !,
-    possibly_holds(Relation, A, B).
+    (   possibly_holds(Relation, A, B)
+    ;   Relation == in,
+        within_part(A, B)
+    ;   Relation == contains,
+        within_part(B, A)
+    ).
 possibly(Goal) :-
     own_frame(Goal, B),
     viewer(Viewer),

@@ -21,9 +21,14 @@ DERIVED = frozenset({"on", "supports", "in", "contains", "above", "under", "near
 """Relations whose stored edges follow the rules; other stored edges are facts of their own."""
 
 
+PARTS = ("room_", "storey_", "place_")
+"""Nodes whose `in` edges say how the building is divided: no rule derives them."""
+
+
 def follows_rules(edge: Edge) -> bool:
-    """Whether an edge is there because the rules derive it; a room's place in its building is a fact of its own."""
-    return edge.relation in DERIVED and "building_1" not in (edge.source, edge.target)
+    """Whether an edge is there because the rules derive it; what parts of the building contain is a fact of its own."""
+    part = edge.target if edge.relation == "contains" else edge.source
+    return edge.relation in DERIVED and not part.startswith(PARTS)
 
 
 class Meaning:

@@ -18,8 +18,10 @@ FORMS = {
     ("rename", 2): "rename(Id, Name)",
     ("set", 3): "set(Id, Attribute, Value)",
     ("merge", 2): "merge(Id, Id)",
+    ("split", 2): "split(Room, [[X, Y], [X, Y]])",
     ("delete", 1): "delete(Id)",
     ("room", 2): "room(Name, [[X, Y], …])",
+    ("room", 3): "room(Name, [[X, Y], …], Storey)",
 }
 
 

@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[Any]
 
 
-class GroundGrid:
-    """Cells (i, j) of the plane z = 0 of map, each `cell_m` wide, cell (0, 0) at the origin; three values a cell.
+_CHANNELS = ("free", "room", "drawn", "sky")
 
-    free : bool, room : int32 (0 = none), drawn : bool (an operator drew the room). Cells
-    outside what was covered so far read as False and 0.
+
+class GroundGrid:
+    """Cells (i, j) of the plane z = 0 of map, each `cell_m` wide, cell (0, 0) at the origin; some values a cell.
+
+    free : bool, room : int32 (0 = none), drawn : bool (an operator drew the room), sky : bool (free above every
+    ceiling). Cells outside what was covered so far read as False and 0.
     """
 
     def __init__(self, cell_m: float) -> None:
@@ -24,6 +27,7 @@ class GroundGrid:
         self.free: NDArray[np.bool_] = np.zeros((0, 0), bool)
         self.room: NDArray[np.int32] = np.zeros((0, 0), np.int32)
         self.drawn: NDArray[np.bool_] = np.zeros((0, 0), bool)
+        self.sky: NDArray[np.bool_] = np.zeros((0, 0), bool)
 
     def cover(self, low: Array, high: Array) -> tuple[slice, slice]:
         """Make room for the cells low … high (2,), both included; returns where they lie in the arrays."""
@@ -35,7 +39,7 @@ class GroundGrid:
             new_low = np.where(low < self._low, np.asarray(low) - room_to_grow, self._low)
             new_high = np.where(high + 1 > old_high, np.asarray(high) + 1 + room_to_grow, old_high)
             where = tuple(slice(a, a + n) for a, n in zip(self._low - new_low, self.free.shape, strict=True))
-            for name in ("free", "room", "drawn"):
+            for name in _CHANNELS:
                 old = getattr(self, name)
                 grown = np.zeros(tuple((new_high - new_low).tolist()), old.dtype)
                 grown[where] = old
@@ -52,12 +56,13 @@ class GroundGrid:
 
     def state(self) -> dict[str, Array]:
         """The arrays that make this grid."""
-        return {"low": self._low.copy(), "free": self.free.copy(), "room": self.room.copy(), "drawn": self.drawn.copy()}
+        return {"low": self._low.copy(), **{name: getattr(self, name).copy() for name in _CHANNELS}}
 
     def restore(self, state: Mapping[str, Array]) -> None:
-        """Take over what `state` gave."""
+        """Take over what `state` gave; a value that older states lack is False everywhere."""
         self._low = np.array(state["low"])
-        self.free, self.room, self.drawn = (np.array(state[name]) for name in ("free", "room", "drawn"))
+        for name in _CHANNELS:
+            setattr(self, name, np.array(state.get(name, np.zeros_like(state["free"]))))
 
     def at(self, xy: Array) -> Array:
         """The room number (N,) at points (N, 2) [m]; 0 where there is none."""

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from mapping.occupancy import FREE, OccupancyMap
+from mapping.occupancy import FREE, OCCUPIED, OccupancyMap
 from scenegraph.graph import Edge, GraphChanges, Node, SceneGraph
-from scenegraph.perception.rooms import CELL_M, Storey
 from scenegraph.perception.shapes import Shape
+from scenegraph.perception.storeys import CELL_M, Storey
 
 Array: TypeAlias = NDArray[Any]
 
@@ -140,17 +140,20 @@ def _openings(storey: Storey, moved: set[str], occupancy: OccupancyMap) -> list[
     steps = np.linspace(-THROUGH_M, THROUGH_M, 13)
     ground = xy[:, None] + steps[None, :, None] * along[:, None]
     points = [np.concatenate([ground, np.full((*ground.shape[:2], 1), storey.floor_z + z)], axis=2) for z in HEIGHTS_M]
-    free = occupancy.classify(np.stack(points, axis=1).reshape(-1, 3)) == FREE
-    is_open = free.reshape(len(at), -1).all(axis=1)
+    space = occupancy.classify(np.stack(points, axis=1).reshape(-1, 3)).reshape(len(at), -1)
+    is_open, is_shut = (space == FREE).all(axis=1), (space == OCCUPIED).any(axis=1)
+    cells = np.floor(at).astype(np.int64)
     found = []
     for a, b in np.unique(pair[is_open], axis=0).tolist():
-        mine = is_open & (pair == (a, b)).all(axis=1)
-        raster = np.zeros(rooms.shape, bool)
-        cells = np.floor(at[mine]).astype(np.int64)
-        raster[cells[:, 0], cells[:, 1]] = True
+        mine = (pair == (a, b)).all(axis=1)
+        raster, seen = np.zeros(rooms.shape, bool), np.zeros(rooms.shape, bool)
+        raster[tuple(cells[mine & ~is_shut].T)] = True  # gaps that were not seen do not part an opening in two
+        seen[tuple(cells[mine & is_open].T)] = True
         parts, n = ndimage.label(raster, np.ones((3, 3)))
         for part in range(1, n + 1):
-            mine_xy = (np.argwhere(parts == part) + low + storey.ground.low + 0.5) * CELL_M
+            if not (seen & (parts == part)).any():
+                continue
+            mine_xy = (np.argwhere(seen & (parts == part)) + low + storey.ground.low + 0.5) * CELL_M
             width = float(np.hypot(*np.ptp(mine_xy, axis=0))) + CELL_M
             if width >= LEAST_WIDTH_M:
                 x, y = mine_xy.mean(axis=0).round(3).tolist()

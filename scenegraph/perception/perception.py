@@ -16,6 +16,7 @@ from scenegraph.facts import class_atom
 from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 from scenegraph.labels import Labels
+from scenegraph.perception import told_rooms
 from scenegraph.perception.building import Building
 from scenegraph.perception.movers import move_nodes
 from scenegraph.perception.objects import Objects
@@ -56,7 +57,7 @@ class Perception:
         changes.extend(_still_possible(structure_changes, graph))
         labelled = self.structure.fresh
         self.building.update(labelled, seen.planes.deleted)
-        self.rooms.forget_walls(seen.planes.deleted)
+        self.rooms.forget_planes(seen.planes.deleted)
 
         object_changes, reshaped = self.objects.update(self._map.instances, seen.instances, graph)
         changes.extend(object_changes)
@@ -65,16 +66,10 @@ class Perception:
         room_changes, moved_rooms = self.rooms.update(self._map.occupancy, seen.occupancy, labelled, graph, stamp_ns)
         changes.extend(_still_possible(room_changes, graph))
 
-        _house_rooms(changes, graph)
-        doors = (
-            {i: s for i, s in self.objects.shapes.items() if self.objects.labels[i] == "door"} if moved_rooms else {}
-        )
-        changes.extend(
-            self.passages.update(self.rooms.storeys, moved_rooms, doors, self._map.occupancy, graph, stamp_ns)
-        )
+        self._connect_rooms(changes, moved_rooms, graph, stamp_ns)
         _keep_told(changes, graph)
         measured = self.relations.update(self.objects.shapes, self.objects.labels, reshaped, self.building)
-        measured.merge(self._room_shares(reshaped, moved_rooms))
+        measured.merge(self._room_shares(reshaped, moved_rooms, graph))
         for mover, node in moved.items():
             shares = {} if node is None else self.rooms.shares(node.position[None, :2], float(node.position[2]))
             measured.merge(self.relations.set_shares(mover, shares))
@@ -122,23 +117,46 @@ class Perception:
                 touched = self.objects.forget(node, self._map.instances)
                 changes.delete_node(node, reason_given)
                 measured = self.relations.update(self.objects.shapes, self.objects.labels, touched, self.building)
+            case "merge", (str(kept), str(lost)) if "room" in (graph.node(kept).layer, graph.node(lost).layer):
+                room_changes, rooms = told_rooms.merge(self.rooms, kept, lost, graph, told.stamp_ns)
+                measured, touched = self._redraw(room_changes, rooms, changes, graph, told.stamp_ns)
             case "merge", (str(kept), str(lost)):
-                graph.node(kept), graph.node(lost)
                 merged = self.objects.join(kept, lost, self._map.instances)
                 object_changes, touched = self.objects.update(self._map.instances, merged, graph)
                 changes.extend(object_changes)
                 measured = self.relations.update(self.objects.shapes, self.objects.labels, touched, self.building)
-            case "room", (name, list(polygon)):
-                room_changes, rooms = self.rooms.draw(str(name), polygon, graph, told.stamp_ns)
-                changes.extend(room_changes)
-                _house_rooms(changes, graph)
-                measured, touched = self._room_shares(set(), rooms), rooms
+            case "room", (name, list(polygon), *storey):
+                on = str(storey[0]) if storey else None
+                room_changes, rooms = told_rooms.draw(self.rooms, str(name), polygon, on, graph, told.stamp_ns)
+                measured, touched = self._redraw(room_changes, rooms, changes, graph, told.stamp_ns)
+            case "split", (str(room), list(line)):
+                room_changes, rooms = told_rooms.split(self.rooms, room, line, graph, told.stamp_ns)
+                measured, touched = self._redraw(room_changes, rooms, changes, graph, told.stamp_ns)
             case "fact" | "retract", _:
                 return changes
             case _:
                 raise InvalidStatement(f"statement: {told.text!r} does not fit", hint=FORMS[told.kind, len(told.args)])
         self._meaning.infer(changes, measured, touched, graph, f"told by {told.author}", told.stamp_ns)
         return changes
+
+    def _redraw(
+        self, room_changes: GraphChanges, rooms: set[str], changes: GraphChanges, graph: SceneGraph, stamp_ns: int
+    ) -> tuple[MeasurementChange, set[str]]:
+        """All that follows where an operator made rooms: what was measured anew, and the ids that it is about."""
+        changes.extend(room_changes)
+        self._connect_rooms(changes, rooms, graph, stamp_ns)
+        _keep_told(changes, graph)
+        affected = self.relations.things_in(rooms)
+        return self._room_shares(set(), rooms, graph), rooms | affected
+
+    def _connect_rooms(self, changes: GraphChanges, moved_rooms: set[str], graph: SceneGraph, stamp_ns: int) -> None:
+        """Add what follows from rooms whose ground changed: their storeys, and the passages between them."""
+        self.rooms.storeys.write(changes, BUILDING, graph, stamp_ns)
+        if moved_rooms:
+            doors = {i: s for i, s in self.objects.shapes.items() if self.objects.labels[i] == "door"}
+            changes.extend(
+                self.passages.update(self.rooms.storeys, moved_rooms, doors, self._map.occupancy, graph, stamp_ns)
+            )
 
     # -- state --------------------------------------------------------------------------------------------
     def document(self) -> dict[str, Any]:
@@ -183,12 +201,17 @@ class Perception:
             class_atom(self._labels.name(int(i))): n / len(points) for i, n in zip(ids, counts.tolist(), strict=True)
         }
 
-    def _room_shares(self, reshaped: set[str], moved_rooms: set[str]) -> MeasurementChange:
-        """In which rooms the footprints of things lie, for things and rooms that changed."""
+    def _room_shares(self, reshaped: set[str], moved_rooms: set[str], graph: SceneGraph) -> MeasurementChange:
+        """In which rooms the footprints of things lie, for things and rooms that changed; agents are points."""
         change = MeasurementChange()
         for thing in sorted(reshaped | self.relations.things_in(moved_rooms)):
             shape = self.objects.shapes.get(thing)
-            shares = {} if shape is None else self.rooms.shares(shape.ground_samples, shape.lowest)
+            shares: dict[str, float] = {}
+            if shape is not None:
+                shares = self.rooms.shares(shape.ground_samples, shape.lowest)
+            elif thing in graph and thing not in reshaped:
+                position = graph.node(thing).position
+                shares = self.rooms.shares(position[None, :2], float(position[2]))
             change.merge(self.relations.set_shares(thing, shares))
         return change
 
@@ -208,15 +231,6 @@ def _still_possible(wishes: GraphChanges, graph: SceneGraph) -> GraphChanges:
         elif step.id in graph:
             possible.delete_node(step.id, step.reason, step.became)
     return possible
-
-
-def _house_rooms(changes: GraphChanges, graph: SceneGraph) -> None:
-    """Join the rooms that are new to their building."""
-    for room in [step for step in changes.steps if isinstance(step, Node) and step.layer == "room"]:
-        if graph.edge("in", room.id, BUILDING) is None:
-            times = {"first_seen_ns": room.first_seen_ns, "last_seen_ns": room.last_seen_ns}
-            changes.put(Edge(relation="in", source=room.id, target=BUILDING, **times))
-            changes.put(Edge(relation="contains", source=BUILDING, target=room.id, **times))
 
 
 def _keep_told(changes: GraphChanges, graph: SceneGraph) -> None:

@@ -8,7 +8,6 @@ clearly narrower than either (after Bormann et al., *Room Segmentation: Survey, 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -20,51 +19,34 @@ from mapping.kernels import regions as kernels
 from mapping.layer import Changed
 from mapping.occupancy import OccupancyMap
 from mapping.planes import Plane
-from scenegraph.errors import InvalidStatement
 from scenegraph.graph import Box, GraphChanges, Node, SceneGraph
-from scenegraph.perception.ground import GroundGrid
+from scenegraph.perception.storeys import CELL_M, DEFAULT_HEIGHT_M, Storey, Storeys
 
 Array: TypeAlias = NDArray[Any]
 
-CELL_M = 0.1
-BAND_M = (1.0, 1.9)
-"""Heights over the floor at which space counts: above tables and counters, below the lintels of doors."""
 HIDDEN_M = 0.7
 """Ground that tall furniture hides belongs to the room before it, up to this depth."""
 NECK_SHARE = 0.72
 """A passage narrower than this share of the rooms it joins parts them: doors do, and wide openings between wall
 stubs."""
-CORNER_M = 0.15
-"""Walls are drawn this much longer at both ends, to meet in the corners."""
 LEAST_ROOM_M2 = 1.2
-LEAST_NEW_CELLS = 10
-LEAST_WALL_M = 0.4
-STOREY_M = 1.5
-"""Floors that differ by less than this in height belong to one storey."""
 SAME_SHARE = 0.3
 """A region is a known room when they share this much of the larger one's ground."""
-FARTHEST_DRAWN_M = 50.0
-"""An operator draws rooms no farther than this from what was mapped: the ground grid is dense."""
-
-
-@dataclass
-class Storey:
-    """The ground of one storey: what is free at standing height and which room it belongs to, and its walls as
-    lines; `opened` holds the bounds of walls that are no more, until the ground there is looked at again."""
-
-    number: int
-    floor_z: float
-    ground: GroundGrid = field(default_factory=lambda: GroundGrid(CELL_M))
-    walls: dict[int, tuple[float, float, float, float]] = field(default_factory=dict)
-    opened: list[Array] = field(default_factory=list)
+OUTDOORS_SHARE = 0.5
+"""A room is outdoors when the sky was seen over this share of it, and no ceiling."""
 
 
 class Rooms:
-    """Keeps room nodes in step with walls, floors and free space; only the ground around a change is looked at."""
+    """Keeps room nodes in step with walls, floors and free space; only the ground around a change is looked at.
+
+    Ground that an operator gave a room (`GroundGrid.drawn`) stays with it. What is seen later of the ground beside it
+    falls to that room too, unless the operator drew its outline (`outlined`).
+    """
 
     def __init__(self) -> None:
-        self.storeys: list[Storey] = []
+        self.storeys = Storeys()
         self.footprints: dict[str, shapely.Polygon] = {}
+        self.outlined: set[int] = set()
         self._next = 1
 
     def update(
@@ -82,84 +64,27 @@ class Rooms:
         """
         changes, changed = GraphChanges(), set[str]()
         planes = list(structure)
-        fresh = [s for label, plane in planes if label == "floor" and (s := self._storey_of(plane)) is not None]
+        fresh = [s for label, plane in planes if label == "floor" and (s := self.storeys.found(plane)) is not None]
         dirty: dict[int, list[Array]] = {}
         for storey in self.storeys:
             blocks = occupancy.block_ijk if storey in fresh else seen.blocks
-            dirty[storey.number] = self._open_ground(storey, occupancy, blocks)
-            dirty[storey.number] += self._move_walls(storey, planes) + storey.opened
+            dirty[storey.number] = storey.open_ground(occupancy, blocks)
+            dirty[storey.number] += storey.move_walls(planes) + storey.opened
             storey.opened = []
+        hung = self.storeys.hang_ceilings(planes)
         for storey in self.storeys:
             if dirty[storey.number]:
                 corners = np.concatenate(dirty[storey.number])
                 self._partition(storey, corners.min(axis=0), corners.max(axis=0), graph, stamp_ns, changes, changed)
+        for storey, covered in hung:
+            self._raise_ceilings(storey, covered, graph, stamp_ns, changes, changed)
         return changes, changed
 
-    # -- the ground ---------------------------------------------------------------------------------------
-    def _storey_of(self, floor: Plane) -> Storey | None:
-        """The storey that a floor founds; None when it belongs to one that is known."""
-        z = float(floor.centroid[2])
-        if floor.area_m2 < 1.0 or any(abs(z - s.floor_z) < STOREY_M for s in self.storeys):
-            return None
-        storey = Storey(len(self.storeys) + 1, z)
-        self.storeys.append(storey)
-        return storey
-
-    @staticmethod
-    def _open_ground(storey: Storey, occupancy: OccupancyMap, blocks: Array) -> list[Array]:
-        """Note the cells that are free at standing height; returns their bounds, corners (2, 2) in cells, where new."""
-        edge = occupancy.block_size_m
-        low, high = storey.floor_z + BAND_M[0], storey.floor_z + BAND_M[1]
-        blocks = blocks[(blocks[:, 2] * edge < high) & ((blocks[:, 2] + 1) * edge > low)]
-        if not len(blocks):
-            return []
-        evidence = occupancy.evidence_of(blocks).reshape(-1, 8, 8, 8)
-        heights = (blocks[:, 2, None] * 8 + np.arange(8) + 0.5) * occupancy.voxel_size_m
-        in_band = (heights > low) & (heights < high)
-        free = ((evidence < 0) & (evidence > -128) & in_band[:, None, None, :]).any(axis=3)
-        which, u, v = np.nonzero(free)
-        xy = (blocks[which, :2] * 8 + np.stack([u, v], axis=1) + 0.5) * occupancy.voxel_size_m
-        cells = np.floor(xy / CELL_M).astype(np.int64)
-        if not len(cells):
-            return []
-        low_cell, high_cell = cells.min(axis=0), cells.max(axis=0)
-        where = storey.ground.cover(low_cell, high_cell)
-        window = storey.ground.free[where]
-        at = tuple((cells - low_cell).T)
-        new = cells[~window[at]]
-        window[at] = True
-        return [np.stack([new.min(axis=0), new.max(axis=0)])] if len(new) >= LEAST_NEW_CELLS else []
-
-    @staticmethod
-    def _move_walls(storey: Storey, planes: list[tuple[str, Plane]]) -> list[Array]:
-        """Draw walls anew; returns the bounds of those that changed."""
-        dirty = []
-        for label, plane in planes:
-            known = storey.walls.get(plane.id)
-            line = None
-            if (
-                label == "wall"
-                and plane.width_m >= LEAST_WALL_M
-                and plane.z_max > storey.floor_z + BAND_M[0]
-                and plane.z_min < storey.floor_z + BAND_M[1] + 0.5
-            ):
-                line = _ground_line(plane)
-            if line is None:
-                if known is not None:
-                    del storey.walls[plane.id]
-                    dirty.append(_line_bounds(known))
-            elif known is None or np.abs(np.subtract(known, line)).max() > CELL_M:
-                storey.walls[plane.id] = line
-                dirty.append(_line_bounds(line))
-        return dirty
-
-    def forget_walls(self, plane_ids: Iterable[int]) -> None:
+    def forget_planes(self, plane_ids: Iterable[int]) -> None:
         """Planes that are no more."""
-        for storey in self.storeys:
-            for plane_id in plane_ids:
-                line = storey.walls.pop(plane_id, None)
-                if line is not None:
-                    storey.opened.append(_line_bounds(line))
+        for plane_id in plane_ids:
+            for storey in self.storeys:
+                storey.forget(plane_id)
 
     # -- rooms --------------------------------------------------------------------------------------------
     def _partition(
@@ -194,102 +119,102 @@ class Rooms:
         ids, areas = np.unique(labels[labels > 0], return_counts=True)
         labels[np.isin(labels, ids[areas * CELL_M**2 < LEAST_ROOM_M2])] = 0
         kernels.flood(labels, reach)
+        told = np.where(storey.ground.drawn[window], before, 0)
         before[other] = 0
+        gained = self._give_to_told(labels, told, before, reach, clearance)
         after = self._identify(labels, before, reached.tolist(), changes, changed)
         owned = _into_walls(after, barrier)
         storey.ground.room[window] = np.where(other, storey.ground.room[window], owned)
         for room in np.unique(after[after > 0]).tolist():
             if ((owned == room) != (before == room)).any():
-                self._write(room, storey, np.argwhere(after == room) + low, graph, stamp_ns, changes)
+                self.write(room, storey, np.argwhere(after == room) + low, graph, stamp_ns, changes)
                 changed.add(f"room_{room}")
+        for room in np.unique(gained[gained > 0]).tolist():
+            cells = np.concatenate([self.floor_of(room, storey), np.argwhere(gained == room) + low])
+            self.write(room, storey, np.unique(cells, axis=0), graph, stamp_ns, changes)
+            changed.add(f"room_{room}")
+        storey.ground.room[window][gained > 0] = gained[gained > 0]
+        storey.ground.drawn[window] |= gained > 0
 
-    def draw(self, name: str, polygon: list[Any], graph: SceneGraph, stamp_ns: int) -> tuple[GraphChanges, set[str]]:
-        """A room with this outline (corners x, y [m]), drawn by an operator: mapping leaves its ground alone from now
-        on.
+    def _give_to_told(self, labels: Array, told: Array, before: Array, reach: Array, clearance: Array) -> Array:
+        """Take from `labels` what belongs to the rooms that an operator made; returns these rooms' numbers there.
 
-        Returns the changes and the ids of the rooms that it touches. Raises `InvalidStatement`.
+        labels, told, before : (W, H) regions found now, rooms told, rooms as they were. A told room gets what is left
+        over at its border, and whole regions that were in no room yet and open widely onto it.
         """
-        try:
-            corners = np.array(polygon, dtype=np.float64)
-            if corners.shape[1:] != (2,) or not np.isfinite(corners).all():
-                raise ValueError("expected finite corners [x, y]")
-            outline = shapely.Polygon(corners)
-        except (ValueError, TypeError) as error:
-            raise InvalidStatement(
-                f"room: the outline is no polygon ({error})", hint="room(name, [[x, y], [x, y], [x, y], …])"
-            ) from None
-        if not outline.is_valid or outline.area < 0.1:
-            raise InvalidStatement("room: expected corners [x, y] of a simple polygon of at least 0.1 m²")
-        if not self.storeys:
-            raise InvalidStatement(
-                "room: no floor has been mapped yet", hint="a room lies on a storey; map some floor first"
-            )
-        storey = self.storeys[0]
-        ground_low, ground_high = storey.ground.low * CELL_M, (storey.ground.low + storey.ground.free.shape) * CELL_M
-        if (corners < ground_low - FARTHEST_DRAWN_M).any() or (corners > ground_high + FARTHEST_DRAWN_M).any():
-            raise InvalidStatement(f"room: a corner lies more than {FARTHEST_DRAWN_M:g} m from all that was mapped")
-        changes, touched = GraphChanges(), set[str]()
-        low, high = (
-            np.floor(corners.min(axis=0) / CELL_M).astype(np.int64),
-            np.floor(corners.max(axis=0) / CELL_M).astype(np.int64),
-        )
-        window = storey.ground.cover(low, high)
-        cells = np.argwhere(np.ones(storey.ground.room[window].shape, bool))
-        xy = (cells + low + 0.5) * CELL_M
-        mine = shapely.contains_xy(outline, xy[:, 0], xy[:, 1]).reshape(storey.ground.room[window].shape)
-        touched |= {f"room_{n}" for n in np.unique(storey.ground.room[window][mine]).tolist() if n}
-        number, self._next = self._next, self._next + 1
-        storey.ground.room[window][mine] = number
-        storey.ground.drawn[window][mine] = True
-        for room in sorted(touched):
-            self._shrink(room, storey, graph, stamp_ns, changes)
-        self._write(number, storey, np.argwhere(mine) + low, graph, stamp_ns, changes, name=name)
-        return changes, touched | {f"room_{number}"}
+        told = np.where(np.isin(told, list(self.outlined)), 0, told)
+        gained = np.zeros_like(labels)
+        if not told.any():
+            return gained
+        around = np.pad(told, 1)
+        beside = np.max([around[:-2, 1:-1], around[2:, 1:-1], around[1:-1, :-2], around[1:-1, 2:]], axis=0)
+        onto = reach & (beside > 0) & (labels > 0)
+        for region in np.unique(labels[onto]).tolist():
+            mine = labels == region
+            if before[mine].any():
+                continue
+            rooms, widths = np.unique(beside[mine & onto], return_counts=True)
+            if widths.max() >= NECK_SHARE * 2.0 * clearance[mine].max():
+                gained[mine] = rooms[widths.argmax()]
+                labels[mine] = 0
+        left = told + gained
+        kernels.flood(left, reach & (labels == 0))
+        return np.where(told > 0, 0, left)
 
-    def _shrink(self, room: str, storey: Storey, graph: SceneGraph, stamp_ns: int, changes: GraphChanges) -> None:
-        """Write a room anew that lost ground; one that lost nearly all is gone."""
-        number = int(room.removeprefix("room_"))
-        cells = np.argwhere(storey.ground.room == number)
-        if len(cells) * CELL_M**2 < LEAST_ROOM_M2:
-            storey.ground.room[storey.ground.room == number] = 0
-            changes.delete_node(room, "an operator drew another room there", became=f"room_{self._next - 1}")
-            self.footprints.pop(room, None)
-        else:
-            self._write(number, storey, cells + storey.ground.low, graph, stamp_ns, changes)
+    def floor_of(self, number: int, storey: Storey) -> Array:
+        """The cells (N, 2) of a room that lie in its footprint, in row order: without those of its walls."""
+        outline = self.footprints[f"room_{number}"]
+        low, high = np.round(np.reshape(outline.bounds, (2, 2)) / CELL_M).astype(np.int64) + np.array([[-1], [1]])
+        cells = np.argwhere(storey.ground.room[storey.ground.cover(low, high)] == number) + low
+        x, y = (cells.T + 0.5) * CELL_M
+        inside: Array = cells[shapely.contains_xy(outline.buffer(-0.2 * CELL_M), x, y)]
+        return inside
+
+    def new_number(self) -> int:
+        """A number that no room ever had."""
+        self._next += 1
+        return self._next - 1
+
+    def _raise_ceilings(
+        self,
+        storey: Storey,
+        covered: shapely.Geometry,
+        graph: SceneGraph,
+        stamp_ns: int,
+        changes: GraphChanges,
+        written: set[str],
+    ) -> None:
+        """Write the rooms below a ceiling that changed, unless they were written already."""
+        corners = np.round(np.reshape(covered.bounds, (2, 2)) / CELL_M).astype(np.int64)
+        low = np.maximum(corners[0], storey.ground.low)
+        high = np.minimum(corners[1], storey.ground.low + storey.ground.room.shape - 1)
+        if (low > high).any():
+            return
+        for number in np.unique(storey.ground.room[storey.ground.cover(low, high)]).tolist():
+            room = f"room_{number}"
+            if number and room not in written and room in graph and room in self.footprints:
+                self.write(number, storey, self.floor_of(number, storey), graph, stamp_ns, changes)
 
     # -- state --------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:
         """The arrays that make all storeys."""
-        state: dict[str, Array] = {"next": np.array(self._next), "floors": np.array([s.floor_z for s in self.storeys])}
-        for storey in self.storeys:
-            prefix = f"storey.{storey.number}."
-            state.update({prefix + name: array for name, array in storey.ground.state().items()})
-            walls = [(i, *line) for i, line in storey.walls.items()]
-            state[prefix + "walls"] = np.array(walls, np.float64).reshape(-1, 5)
-        return state
+        outlined = np.array(sorted(self.outlined), np.int64)
+        return {"next": np.array(self._next), "outlined": outlined, **self.storeys.state()}
 
     def restore(self, state: Mapping[str, Array], graph: SceneGraph) -> None:
         """Take over what `state` gave; footprints are those of the graph's nodes."""
         self._next = int(state["next"])
-        for k, floor_z in enumerate(state["floors"].tolist()):
-            storey, prefix = Storey(k + 1, floor_z), f"storey.{k + 1}."
-            storey.ground.restore({key.removeprefix(prefix): a for key, a in state.items() if key.startswith(prefix)})
-            storey.walls = {int(row[0]): (row[1], row[2], row[3], row[4]) for row in state[prefix + "walls"].tolist()}
-            self.storeys.append(storey)
+        self.outlined = set(state.get("outlined", np.empty(0, np.int64)).tolist())
+        self.storeys.restore(state, graph)
         self.footprints = {n.id: shapely.Polygon(n.attributes["footprint"]) for n in graph.nodes("room")}
 
     def shares(self, xy: Array, z: float) -> dict[str, float]:
         """The share of points (N, 2) [m] at height z [m] that lies in each room."""
-        storey = self.storey_at(z)
+        storey = self.storeys.at(z)
         if storey is None or not len(xy):
             return {}
         rooms, counts = np.unique(storey.ground.at(xy), return_counts=True)
         return {f"room_{r}": n / len(xy) for r, n in zip(rooms.tolist(), counts.tolist(), strict=True) if r}
-
-    def storey_at(self, z: float) -> Storey | None:
-        """The highest storey whose floor is not above z (0.3 m is forgiven); None where there is none."""
-        below = [s for s in self.storeys if s.floor_z <= z + 0.3]
-        return max(below, key=lambda s: s.floor_z, default=None)
 
     @staticmethod
     def _barrier(storey: Storey, low: Array, shape: tuple[int, ...]) -> Array:
@@ -316,7 +241,7 @@ class Rooms:
                 room_of[region] = room
         for region in size:
             if region and region not in room_of:
-                room_of[region], self._next = self._next, self._next + 1
+                room_of[region] = self.new_number()
         for room in reached:
             if room not in room_of.values():
                 heirs = [(share, region) for share, region, old in common if old == room]
@@ -329,7 +254,7 @@ class Rooms:
             renumber[region] = room
         return renumber[labels]
 
-    def _write(
+    def write(
         self,
         number: int,
         storey: Storey,
@@ -339,13 +264,19 @@ class Rooms:
         changes: GraphChanges,
         name: str | None = None,
     ) -> None:
+        """Write the node of a room with these cells (N, 2), in row order."""
         room = f"room_{number}"
         footprint = _outline(cells)
         self.footprints[room] = footprint
         known = graph.node(room) if room in graph else None
         x0, y0, x1, y1 = footprint.bounds
         at = footprint.representative_point() if not footprint.contains(footprint.centroid) else footprint.centroid
-        height = 2.4
+        ceiling = storey.ceiling_over(footprint)
+        height = DEFAULT_HEIGHT_M if ceiling is None else ceiling - storey.floor_z
+        measures = {} if ceiling is None else {"ceiling_z": round(ceiling, 3), "height_m": round(height, 3)}
+        i, j = (cells - storey.ground.low).T
+        outdoors = ceiling is None and float(storey.ground.sky[i, j].mean()) >= OUTDOORS_SHARE
+        told_before = known is not None and "outdoors" in known.attributes
         named = {} if name is None else {"name": name}
         kept = (
             named
@@ -371,6 +302,8 @@ class Rooms:
                     "storey": storey.number,
                     "floor_z": round(storey.floor_z, 3),
                     "area_m2": round(footprint.area, 2),
+                    **measures,
+                    **({"outdoors": outdoors} if outdoors or told_before else {}),
                 },
             )
         )
@@ -384,20 +317,6 @@ def _into_walls(rooms: Array, barrier: Array) -> Array:
         nearest = np.max([beside[:-2, 1:-1], beside[2:, 1:-1], beside[1:-1, :-2], beside[1:-1, 2:]], axis=0)
         owned = np.where((owned == 0) & barrier, nearest, owned)
     return owned
-
-
-def _ground_line(plane: Plane) -> tuple[float, float, float, float]:
-    """A wall seen from above: x0, y0, x1, y1 [m], a little longer than what was seen of it."""
-    along = np.array([-plane.normal[1], plane.normal[0]])
-    along /= np.linalg.norm(along)
-    half = 0.5 * plane.width_m + CORNER_M
-    a, b = plane.box_center[:2] - half * along, plane.box_center[:2] + half * along
-    return float(a[0]), float(a[1]), float(b[0]), float(b[1])
-
-
-def _line_bounds(line: tuple[float, float, float, float]) -> Array:
-    ends = np.floor(np.array(line).reshape(2, 2) / CELL_M).astype(np.int64)
-    return np.stack([ends.min(axis=0), ends.max(axis=0)])
 
 
 def _outline(cells: Array) -> shapely.Polygon:

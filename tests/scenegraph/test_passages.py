@@ -12,8 +12,8 @@ from mapping.occupancy import OccupancyMap
 from scenegraph.graph import GraphChanges, Node, SceneGraph
 from scenegraph.perception.ground import GroundGrid
 from scenegraph.perception.passages import Passages
-from scenegraph.perception.rooms import CELL_M, Storey
 from scenegraph.perception.shapes import Shape
+from scenegraph.perception.storeys import CELL_M, Storey
 
 if TYPE_CHECKING:
     from scenegraph.world import World

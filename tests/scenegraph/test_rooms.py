@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -11,12 +11,14 @@ from mapping.layer import Changed
 from mapping.occupancy import OccupancyMap
 from mapping.planes import Plane
 from scenegraph.errors import InvalidStatement
-from scenegraph.graph import Node, SceneGraph
+from scenegraph.graph import GraphChanges, Node, SceneGraph
+from scenegraph.perception import told_rooms
 from scenegraph.perception.rooms import Rooms
 
 Rectangle = tuple[float, float, float, float]
 """x0, y0, x1, y1 [m]."""
 FREE_EVIDENCE = -20
+BUILDING = "building_1"
 
 
 def wall(
@@ -38,6 +40,10 @@ def floor(number: int, x0: float, y0: float, x1: float, y1: float, z: float = 0.
     ring = np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]])
     middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), z])
     return "floor", plane(number, np.array([0.0, 0.0, 1.0]), middle, ring, x1 - x0, (x1 - x0, y1 - y0, 0.01), np.eye(3))
+
+
+def ceiling(number: int, x0: float, y0: float, x1: float, y1: float, z: float) -> tuple[str, Plane]:
+    return "ceiling", floor(number, x0, y0, x1, y1, z)[1]
 
 
 def plane(
@@ -64,6 +70,10 @@ class Home:
         self.occupancy = OccupancyMap(voxel_size_m=0.05, max_range_m=10.0)
         self.rooms = Rooms()
         self.graph = SceneGraph()
+        founded = GraphChanges()
+        times = {"first_seen_ns": 0, "last_seen_ns": 0}
+        founded.put(Node(id=BUILDING, layer="building", label="building", position=(0, 0, 0), **times))
+        self.graph.commit(founded, 0)
         self.now = 0
 
     def see(
@@ -82,14 +92,26 @@ class Home:
             seen.append(np.unique(np.floor(centres / 0.4).astype(np.int32), axis=0))
         changed_blocks = Changed(np.unique(np.concatenate(seen), axis=0), self.occupancy.block_size_m)
         changes, changed = self.rooms.update(self.occupancy, changed_blocks, structure, self.graph, self.now)
-        self.graph.commit(changes, self.now)
+        self.commit(changes)
         return changed
 
-    def draw(self, name: str, outline: list[list[float]]) -> set[str]:
-        self.now += 1
-        changes, touched = self.rooms.draw(name, outline, self.graph, self.now)
+    def commit(self, changes: GraphChanges) -> None:
+        self.rooms.storeys.write(changes, BUILDING, self.graph, self.now)
         self.graph.commit(changes, self.now)
+
+    def draw(self, name: str, outline: list[list[float]], storey: str | None = None) -> set[str]:
+        return self.tell(told_rooms.draw, name, outline, storey)
+
+    def tell(self, form: Callable[..., tuple[GraphChanges, set[str]]], *given: object) -> set[str]:
+        self.now += 1
+        changes, touched = form(self.rooms, *given, self.graph, self.now)
+        self.commit(changes)
         return touched
+
+    def restart(self) -> None:
+        state = self.rooms.state()
+        self.rooms = Rooms()
+        self.rooms.restore({name: np.array(array) for name, array in state.items()}, self.graph)
 
     @property
     def nodes(self) -> dict[str, Node]:
@@ -201,7 +223,7 @@ def test_a_wall_that_is_found_later_parts_a_room_and_the_larger_part_keeps_its_i
     assert len(home.ids) == 2
     assert home.at(2.0, 2.0) == whole
     [other] = set(home.ids) - {whole}
-    home.rooms.forget_walls([6])
+    home.rooms.forget_planes([6])
     home.see((4.0, 0.1, 6.0, 3.9), structure=[wall(5, 8, 0, 8, 3.5)])
     assert home.ids == [whole], "and has it still when the wall was none"
     assert home.graph.tombstone(other).became == whole  # type: ignore[union-attr]
@@ -218,14 +240,69 @@ def test_what_is_not_touched_stays_as_it_is() -> None:
     assert home.nodes[before.id] == before
 
 
+UPSTAIRS = [floor(11, 0, 0, 8, 4, z=2.7), wall(12, 4, 0, 4, 4, z=(2.7, 5.1))]
+
+
 def test_two_storeys_are_two() -> None:
     home = Home()
     home.see(LEFT, structure=TWO_WALLS)
-    up = [floor(11, 0, 0, 8, 4, z=2.7), wall(12, 4, 0, 4, 4, z=(2.7, 5.1))]
-    home.see(LEFT, structure=up, z=(3.6, 4.8))
+    home.see(LEFT, structure=UPSTAIRS, z=(3.6, 4.8))
     assert len(home.ids) == 2
     assert home.at(2.0, 2.0, 0.4) != home.at(2.0, 2.0, 3.1)
     assert sorted(home.nodes[r].attributes["storey"] for r in home.ids) == [1, 2]
+
+
+def test_storeys_lie_between_building_and_rooms() -> None:
+    home = Home()
+    home.see(LEFT, structure=TWO_WALLS)
+    home.see(LEFT, structure=UPSTAIRS, z=(3.6, 4.8))
+    storeys = {n.id: n for n in home.graph.nodes("storey")}
+    assert {i: n.attributes["floor_z"] for i, n in storeys.items()} == {"storey_1": 0.0, "storey_2": 2.7}
+    for room in home.ids:
+        [up] = home.graph.edges("in", source=room)
+        assert up.target == f"storey_{home.nodes[room].attributes['storey']}"
+        assert home.graph.edge("contains", up.target, room) is not None
+    for storey in storeys:
+        [up] = home.graph.edges("in", source=storey)
+        assert up.target == BUILDING
+        assert home.graph.edge("contains", BUILDING, storey) is not None
+
+
+def test_a_landing_halfway_up_the_stairs_is_no_storey() -> None:
+    home = Home()
+    home.see(LEFT, structure=[*TWO_WALLS, floor(20, 1, 1, 2.2, 2.2, z=1.5)])
+    assert [n.id for n in home.graph.nodes("storey")] == ["storey_1"]
+
+
+def test_rooms_and_storeys_are_as_high_as_their_ceilings() -> None:
+    home = Home()
+    home.see(LEFT, RIGHT, DOORWAY, structure=TWO_WALLS)
+    left, right = home.at(2.0, 2.0), home.at(6.0, 2.0)
+    assert "ceiling_z" not in home.nodes[left].attributes, "none was seen"  # type: ignore[index]
+    footprints = {room: node.attributes["footprint"] for room, node in home.nodes.items()}
+    home.see(structure=[ceiling(30, 0, 0, 4, 4, 2.5)])
+    home.see(structure=[ceiling(31, 4, 0, 8, 4, 2.3)])
+    for room, height in ((left, 2.5), (right, 2.3)):
+        node = home.nodes[room]  # type: ignore[index]
+        assert (node.attributes["ceiling_z"], node.attributes["height_m"]) == (height, height)
+        assert node.box.size[2] == pytest.approx(height)  # type: ignore[union-attr]
+    assert {room: node.attributes["footprint"] for room, node in home.nodes.items()} == footprints
+    assert home.graph.node("storey_1").attributes["height_m"] in (2.3, 2.5)
+
+
+def test_ground_under_the_open_sky_is_a_room_outdoors_in_no_storey() -> None:
+    home = Home()
+    garden = (4.1, 0.1, 9.9, 3.9)
+    home.see(LEFT, garden, DOORWAY, structure=TWO_WALLS[:4] + TWO_WALLS[5:])
+    inside, outside = home.at(2.0, 2.0), home.at(7.0, 2.0)
+    assert inside != outside
+    assert all("outdoors" not in node.attributes for node in home.nodes.values()), "nobody looked up"
+    home.see(garden, z=(3.3, 4.2))
+    home.see((4.1, 0.1, 10.9, 3.9))
+    assert home.nodes[outside].attributes["outdoors"] is True  # type: ignore[index]
+    assert "outdoors" not in home.nodes[inside].attributes  # type: ignore[index]
+    assert home.graph.edge("in", outside, "storey_1") is None  # type: ignore[arg-type]
+    assert home.graph.edge("in", inside, "storey_1") is not None  # type: ignore[arg-type]
 
 
 def test_without_a_floor_there_is_no_room() -> None:
@@ -235,7 +312,7 @@ def test_without_a_floor_there_is_no_room() -> None:
     assert home.at(2.0, 2.0) is None
 
 
-# -- rooms that an operator draws --------------------------------------------------------------------------------------
+# -- rooms that an operator draws, splits and merges -------------------------------------------------------------------
 
 
 def test_a_drawn_room_survives_mapping_on() -> None:
@@ -297,10 +374,148 @@ def test_rooms_come_back_from_their_state() -> None:
     home.see(LEFT, RIGHT, DOORWAY, structure=TWO_WALLS)
     home.draw("office", [[4.0, 0.0], [8.0, 0.0], [8.0, 4.0], [4.0, 4.0]])
     ids, office = home.ids, home.at(6.0, 2.0)
-    home.rooms, state = Rooms(), home.rooms.state()
-    home.rooms.restore({name: np.array(array) for name, array in state.items()}, home.graph)
+    home.restart()
     assert home.at(6.0, 2.0) == office
     home.see(LEFT, RIGHT, DOORWAY)
     assert home.ids == ids
     home.see((10.1, 0.1, 13.9, 3.9))
     assert home.at(12.0, 2.0) not in (None, *ids), "a number is given once"
+
+
+def test_rooms_come_back_from_a_state_that_knows_less() -> None:
+    home = Home()
+    home.see(LEFT, structure=TWO_WALLS)
+    new = ("sky", "ceilings", "ceiling_sizes", "ceiling_corners", "outlined")
+    old = {name: array for name, array in home.rooms.state().items() if not name.endswith(new)}
+    home.rooms = Rooms()
+    home.rooms.restore(old, home.graph)
+    assert home.at(2.0, 2.0) == home.ids[0]
+
+
+ONE_LARGE = (0.1, 0.1, 7.9, 3.9)
+
+
+def map_on(home: Home) -> None:
+    """See everything again, with walls that wobble, before and after a restart."""
+    for n in range(4):
+        home.see(ONE_LARGE, structure=[wall(5, 8, 0, 8, 3.4 + 0.2 * (n % 3))])
+        if n == 1:
+            home.restart()
+
+
+def test_a_room_is_split_along_a_line_and_stays_so() -> None:
+    home = Home()
+    home.see(ONE_LARGE, structure=TWO_WALLS[:5])
+    [whole] = home.ids
+    touched = home.tell(told_rooms.split, whole, [[5.0, 1.0], [5.0, 1.5]])
+    assert home.at(2.0, 2.0) == whole, "the larger part stays what it was"
+    other = home.at(7.0, 2.0)
+    assert touched == {whole, other}
+    assert home.area(whole) == pytest.approx(20.0, rel=0.12)
+    assert home.area(other) == pytest.approx(12.0, rel=0.12)  # type: ignore[arg-type]
+    border = [x for x in np.arange(2.0, 7.0, 0.1) if home.at(float(x), 2.0) != home.at(float(x) + 0.1, 2.0)]
+    assert border == pytest.approx([5.0], abs=0.11)
+    map_on(home)
+    assert home.ids == sorted([whole, other])  # type: ignore[list-item]
+    assert (home.at(2.0, 2.0), home.at(7.0, 2.0)) == (whole, other)
+
+
+def test_merged_rooms_stay_one() -> None:
+    home = Home()
+    home.see(LEFT, RIGHT, DOORWAY, structure=TWO_WALLS)
+    left, right = home.at(2.0, 2.0), home.at(6.0, 2.0)
+    assert home.tell(told_rooms.merge, right, left) == {left, right}
+    assert home.ids == [right]
+    assert home.graph.tombstone(left).became == right  # type: ignore[arg-type, union-attr]
+    assert home.at(2.0, 2.0) == home.at(4.0, 3.5) == home.at(6.0, 2.0) == right
+    assert home.area(right) == pytest.approx(32.0, rel=0.1)  # type: ignore[arg-type]
+    for n in range(4):
+        home.see(LEFT, RIGHT, DOORWAY, structure=[wall(6, 4, 0, 4, 3.6 + 0.2 * (n % 3))])
+        if n == 1:
+            home.restart()
+    assert home.ids == [right]
+
+
+def test_what_is_split_can_be_merged_again() -> None:
+    home = Home()
+    home.see(ONE_LARGE, structure=TWO_WALLS[:5])
+    [whole] = home.ids
+    area = home.area(whole)
+    _, other = sorted(home.tell(told_rooms.split, whole, [[3.0, 0.5], [5.0, 3.5]]))
+    home.tell(told_rooms.merge, whole, other)
+    assert home.ids == [whole]
+    assert home.area(whole) == pytest.approx(area, rel=0.02)
+
+
+def test_rooms_that_were_split_take_the_ground_that_is_seen_beside_them() -> None:
+    home = Home()
+    home.see((0.1, 0.1, 5.0, 3.9), structure=TWO_WALLS[:5])
+    [whole] = home.ids
+    home.tell(told_rooms.split, whole, [[2.0, 1.0], [2.0, 1.5]])
+    home.see((5.0, 0.1, 7.9, 3.9))
+    assert home.at(7.0, 2.0) == home.at(4.0, 2.0) == whole
+    assert len(home.ids) == 2
+    assert home.area(whole) == pytest.approx(24.0, rel=0.12)
+
+
+def test_a_drawn_room_keeps_its_outline_where_more_is_seen() -> None:
+    home = Home()
+    home.see((0.1, 0.1, 4.0, 3.9), structure=TWO_WALLS[:5])
+    home.draw("den", [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]])
+    den = home.at(2.0, 2.0)
+    home.see((4.0, 0.1, 7.9, 3.9))
+    assert home.at(6.0, 2.0) not in (den, None)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ([[9.0, 0.0], [9.0, 4.0]], "does not cut"),
+        ([[0.1, 0.0], [0.1, 4.0]], "does not cut"),
+        ([[1.0, 1.0], [1.0, 1.0]], "two different points"),
+        ([[1.0, 1.0], [2.0, 1.0], [3.0, 1.0]], "two different points"),
+        ([[0.0, float("inf")], [1.0, 1.0]], "no points"),
+        ([["a", "b"], ["c", "d"]], "no points"),
+        ([[1e12, 0.0], [1e12, 1.0]], "50 m"),
+    ],
+)
+def test_a_line_that_cuts_nothing_is_refused(line: list[list[float]], words: str) -> None:
+    home = Home()
+    home.see(ONE_LARGE, structure=TWO_WALLS[:5])
+    before = home.nodes
+    with pytest.raises(InvalidStatement, match=words):
+        home.tell(told_rooms.split, home.ids[0], line)
+    assert home.nodes == before
+
+
+def test_a_line_cuts_only_the_wing_of_a_room_that_it_touches() -> None:
+    home = Home()
+    home.see((0.1, 0.1, 1.9, 5.9), (0.1, 0.1, 7.9, 1.9), (6.1, 0.1, 7.9, 5.9), structure=[floor(1, 0, 0, 8, 6)])
+    [whole] = home.ids
+    home.tell(told_rooms.split, whole, [[0.5, 4.0], [1.5, 4.0]])
+    assert len(home.ids) == 2
+    assert home.at(7.0, 5.0) == home.at(1.0, 1.0) == whole != home.at(1.0, 5.0)
+
+
+def test_rooms_apart_are_not_merged() -> None:
+    home = Home()
+    home.see(LEFT, (10.1, 0.1, 13.9, 3.9), structure=[*TWO_WALLS, wall(7, 10, 0, 10, 4)])
+    near, far = home.at(2.0, 2.0), home.at(12.0, 2.0)
+    with pytest.raises(InvalidStatement, match="m apart"):
+        home.tell(told_rooms.merge, near, far)
+    home.see(LEFT, structure=UPSTAIRS, z=(3.6, 4.8))
+    with pytest.raises(InvalidStatement, match="different storeys"):
+        home.tell(told_rooms.merge, near, home.at(2.0, 2.0, 3.1))
+
+
+def test_a_room_is_drawn_on_the_storey_that_is_named() -> None:
+    home = Home()
+    home.see(LEFT, structure=TWO_WALLS)
+    home.see(LEFT, structure=UPSTAIRS, z=(3.6, 4.8))
+    corner = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
+    home.draw("nursery", corner, "storey_2")
+    home.draw("pantry", corner)
+    names = {(n.attributes["name"], n.attributes["storey"]) for n in home.nodes.values() if "name" in n.attributes}
+    assert names == {("nursery", 2), ("pantry", 1)}
+    with pytest.raises(InvalidStatement, match="storey_3"):
+        home.draw("attic", corner, "storey_3")

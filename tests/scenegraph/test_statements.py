@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -119,13 +120,73 @@ def test_a_drawn_room_takes_its_things(copy_home: Copy) -> None:
     [corner] = [n for n in world.graph.nodes("room") if n.attributes.get("name") == "dining corner"]
     assert room_at(world, (1.0, 2.3)) == corner.id
     assert world.graph.edge("in", id_of(world, "table"), corner.id) is not None
-    assert world.graph.edge("in", corner.id, "building_1") is not None
+    assert world.graph.edge("in", corner.id, "storey_1") is not None
+    assert world.ask(f"in({corner.id}, building)").truth == "true"
     assert world.graph.edge("in", id_of(world, "oven"), room_at(world, (2.5, 0.5))) is not None
     things = [e.source for e in world.graph.edges("in", target=corner.id)]
     assert len(things) == len(set(things))
     look_again(world, 100)
     assert room_at(world, (1.0, 2.3)) == corner.id
     assert world.graph.edge("in", id_of(world, "table"), corner.id) is not None
+
+
+def map_on_and_restart(world: World, path: Path) -> World:
+    """The world after mapping on, a restart, and mapping on."""
+    look_again(world, 100)
+    world.save(path)
+    world.close()
+    world = World.load(path)
+    look_again(world, 200)
+    return world
+
+
+def test_a_room_that_was_split_stays_so_and_answers_follow(copy_home: Copy, tmp_path: Path) -> None:
+    world = copy_home()
+    room = room_at(world, small_home.BEDROOM)
+    kitchen = room_at(world, small_home.KITCHEN)
+    tell(world, f"split({room}, [[4.0, 1.8], [5.0, 1.8]])")
+    by_the_bed, by_the_stool = room_at(world, (4.8, 1.0)), room_at(world, (4.8, 2.6))
+    tell(world, f"rename({by_the_stool}, 'dressing room')")
+    world = map_on_and_restart(world, tmp_path / "home.world")
+    try:
+        assert {n.id for n in world.graph.nodes("room")} == {kitchen, by_the_bed, by_the_stool}
+        assert (room_at(world, (4.8, 1.0)), room_at(world, (4.8, 2.6))) == (by_the_bed, by_the_stool)
+        assert world.graph.node(by_the_bed).label == "bedroom"
+        assert "type" not in world.graph.node(by_the_stool).attributes
+        assert world.ask("in(stool, 'dressing room')").truth == "true"
+        assert world.ask("in(stool, bedroom)").truth == "false"
+        assert world.ask("in(bed, bedroom), \\+ in(bed, 'dressing room')").truth == "true"
+        assert world.ask("in(stool, building), in(stool, storey)").truth == "true"
+        assert world.ask(f"adjacent({by_the_bed}, {by_the_stool})").truth == "true", "nothing stands between"
+        assert world.ask(f"leads_to({kitchen}, {by_the_bed})").truth == "true"
+    finally:
+        world.close()
+
+
+def test_rooms_that_were_merged_stay_one_and_answers_follow(copy_home: Copy, tmp_path: Path) -> None:
+    world = copy_home()
+    kitchen, bedroom = room_at(world, small_home.KITCHEN), room_at(world, small_home.BEDROOM)
+    tell(world, f"set({kitchen}, type, studio)")
+    tell(world, f"merge({kitchen}, {bedroom})")
+    assert world.graph.tombstone(bedroom).became == kitchen  # type: ignore[union-attr]
+    world = map_on_and_restart(world, tmp_path / "home.world")
+    try:
+        assert [n.id for n in world.graph.nodes("room")] == [kitchen]
+        assert room_at(world, small_home.BEDROOM) == kitchen
+        assert world.graph.node(kitchen).attributes["type"] == "studio"
+        assert world.ask("in(bed, studio), in(oven, studio)").truth == "true"
+        assert not world.graph.edges("adjacent")
+        assert not world.graph.edges("connects")
+    finally:
+        world.close()
+
+
+def test_an_agent_is_in_the_room_that_was_drawn_about_it(copy_home: Copy) -> None:
+    world = copy_home()
+    world.integrate(small_home.robot_at(4.8, 2.6, stamp(90)))
+    tell(world, f"split({room_at(world, small_home.BEDROOM)}, [[4.0, 1.8], [5.0, 1.8]])")
+    [row] = world.ask("in(agent_rob, X), room(X)")
+    assert row["X"].id == room_at(world, (4.8, 2.6))
 
 
 def test_statements_are_kept_with_author_and_reason(copy_home: Copy) -> None:
@@ -161,7 +222,16 @@ def test_statements_are_kept_with_author_and_reason(copy_home: Copy) -> None:
         ("merge(object_1, object_4711)", "unknown_node", "object_4711"),
         ("merge(object_1, object_1)", "invalid_statement", "twice"),
         ("merge(object_1, room_1)", "invalid_statement", "room_1"),
-        ("merge(room_1, room_2)", "invalid_statement", "room_1"),
+        ("merge(room_1, room_1)", "invalid_statement", "twice"),
+        ("merge(room_1, object_1)", "invalid_statement", "object_1"),
+        ("split(room_4711, [[0, 0], [1, 1]])", "unknown_node", "room_4711"),
+        ("split(object_1, [[0, 0], [1, 1]])", "invalid_statement", "object_1"),
+        ("split(room_1, [[0, 0]])", "invalid_statement", "two different points"),
+        ("split(room_1, [[0, 0], [0, 0]])", "invalid_statement", "two different points"),
+        ("split(room_1, [[9, 9], [10, 9]])", "invalid_statement", "does not cut"),
+        ("split(room_1, [[0, 0], [1.0e9, 0]])", "invalid_statement", "50 m"),
+        ("split(room_1, here)", "invalid_statement", "split"),
+        ("room('a', [[0, 0], [1, 0], [1, 1]], storey_7)", "invalid_statement", "storey_7"),
         ("delete(17)", "invalid_statement", "delete"),
         ("rename(true, 'x')", "invalid_statement", "rename"),
         ("room('a', 3)", "invalid_statement", "room"),
@@ -212,7 +282,7 @@ terms = st.recursive(
     ),
     max_leaves=6,
 )
-FORMS = st.sampled_from(["fact/1", "retract/1", "rename/2", "set/3", "room/2", "merge/2"])
+FORMS = st.sampled_from(["fact/1", "retract/1", "rename/2", "set/3", "room/2", "room/3", "merge/2", "split/2"])
 
 
 @settings(

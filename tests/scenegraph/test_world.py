@@ -69,7 +69,13 @@ def test_the_door_parts_two_rooms_and_each_thing_is_in_one(home: World) -> None:
     assert home.graph.node(kitchen).attributes["type"] == "kitchen"
     assert home.graph.node(bedroom).attributes["type"] == "bedroom"
     assert {n.label for n in home.graph.nodes("building")} == {"building"}
-    assert home.graph.edge("in", kitchen, "building_1") is not None
+    [storey] = home.graph.nodes("storey")
+    assert home.graph.edge("in", kitchen, storey.id) is not None
+    assert home.graph.edge("in", storey.id, "building_1") is not None
+    assert storey.attributes["height_m"] == pytest.approx(2.4, abs=0.02)
+    assert home.graph.node(kitchen).attributes["height_m"] == pytest.approx(2.4, abs=0.02)
+    assert {row["X"].id for row in home.ask("in(oven, X)")} == {kitchen, storey.id, "building_1"}
+    assert home.ask("contains(building, oven)").truth == "true"
 
 
 def test_walls_floor_and_ceiling_are_labelled(home: World) -> None:
