@@ -393,7 +393,7 @@ def export(
         raise typer.BadParameter("--costs FILE belongs to --format cost, and --format cost needs it")
     absent: tuple[str, ...] = ()
     with _opened(map_path, connect, world, graphs=True) as target:
-        source = exporting.source_of(target)
+        source = exporting.source_of(target) if map_path else exporting.Served(target)
         if costs is not None:
             path, absent = exporting.export_cost(source, costs, output, band_m=band)
         else:

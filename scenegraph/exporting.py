@@ -144,14 +144,11 @@ class Served:
         return self._arrays[name]
 
 
-def source_of(target: World | Client | GraphFile) -> Source:
-    """What can be exported of a world, a server's world or a graph in a file."""
+def source_of(opened: World | GraphFile) -> Source:
+    """What can be exported of a saved world, or of a graph in a file."""
     from scenegraph.importing import GraphFile
-    from scenegraph.world import World
 
-    if isinstance(target, World):
-        return Saved(target)
-    return Imported(target.graph) if isinstance(target, GraphFile) else Served(target)
+    return Imported(opened.graph) if isinstance(opened, GraphFile) else Saved(opened)
 
 
 def formats() -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from reasoning.knowledge import KnowledgeBase
 from reasoning.terms import Atom
@@ -13,7 +13,9 @@ from scenegraph.answers import Answers
 from scenegraph.errors import StoreForeign
 from scenegraph.graph import SceneGraph
 from scenegraph.interop import read_graph
-from scenegraph.world import World
+
+if TYPE_CHECKING:
+    from scenegraph.world import World
 
 __all__ = ["GraphFile", "open_map"]
 
@@ -67,6 +69,8 @@ class GraphFile:
 
 def open_map(path: Path) -> World | GraphFile:
     """A stored world, or a graph of another format. Raises StoreError, GraphUnreadable."""
+    from scenegraph.world import World
+
     try:
         return World.load(path)
     except StoreForeign:
