@@ -51,6 +51,11 @@ class PlaneFrame:
     def _axes(self) -> Array:
         return np.stack([self.u, self.v])
 
+    @cached_property
+    def rows(self) -> Array:
+        """(3, 3) origin, u and v, as kernels take them."""
+        return np.stack([self.origin, self.u, self.v])
+
     def project(self, points: Array) -> Array:
         """Points (N, 3) [m] → (N, 2) [m] along u and v."""
         return np.asarray((points - self.origin) @ self._axes.T)
@@ -134,13 +139,38 @@ class Coverage:
         """(N,) whether a covered cell lies within `reach_m` (along u and v, a cell at least) of places (N, 2) [m]."""
         hit = np.empty(len(uv), dtype=np.bool_)
         cell = np.floor(uv / self.cell_size_m).astype(np.int64) - self._low
-        kernels.covered_near(hit, self._counts, cell, max(1, round(reach_m / self.cell_size_m)))
+        kernels.covered_near(hit, self._counts, cell, self._cells_in(reach_m))
         return hit
+
+    def near_plane(
+        self, points: Array, normal: Array, offset: float, reach_m: float, height_m: float
+    ) -> NDArray[np.bool_]:
+        """(N,) which points (N, 3) [m] are within `height_m` of the plane normal·p = offset and project to within
+        `reach_m` of a covered cell."""
+        hit = np.empty(len(points), dtype=np.bool_)
+        kernels.near_plane(
+            hit, points, self._counts, self._low, self.frame.rows, normal, offset, 1.0 / self.cell_size_m,
+            self._cells_in(reach_m), height_m,
+        )  # fmt: skip
+        return hit
+
+    def count_crossings(
+        self, crossed: NDArray[np.int64], p: Array, q: Array, normal: Array, offset: float, reach_m: float
+    ) -> None:
+        """Add one to `crossed` (N,), in place, for each segment from p to q (N, 3) [m] that passes through the plane
+        normal·p = offset within `reach_m` of a covered cell."""
+        kernels.count_crossings(
+            crossed, p, q, self._counts, self._low, self.frame.rows, normal, offset, 1.0 / self.cell_size_m,
+            self._cells_in(reach_m),
+        )  # fmt: skip
+
+    def _cells_in(self, reach_m: float) -> int:
+        return max(1, round(reach_m / self.cell_size_m))
 
     def parts(self, reach_m: float) -> tuple[int, NDArray[np.int32], int]:
         """The parts of what is covered that lie more than `reach_m` (at most twice that) from each other: how many, the
         part of each coarse cell (from 1; 0: none), and the edge of a coarse cell in cells; see `part_of`."""
-        stride = max(1, round(reach_m / self.cell_size_m))
+        stride = self._cells_in(reach_m)
         u, v = (-(-n // stride) for n in self._counts.shape)
         coarse = np.zeros((u, v), np.bool_)
         kernels.coarsen(coarse, self._counts, stride)

@@ -168,28 +168,29 @@ class PlaneMap:
         """(N,) whether points (N, 3) [m] are within `height_m` of a plane and project to within `reach_m` of a covered
         cell."""
         slot = self._slot_of[plane_id]
-        coverage = self._pieces.coverage(slot)
-        hit = coverage.near(coverage.frame.project(points), reach_m)
-        return np.asarray(hit & (np.abs(points @ self._pieces.normal[slot] - self._pieces.offset[slot]) <= height_m))
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        normal, offset = self._pieces.normal[slot], self._pieces.offset[slot]
+        return self._pieces.coverage(slot).near_plane(points, normal, offset, reach_m, height_m)
 
     def blocks_segment(self, p0: ArrayLike, p1: ArrayLike, ids: Iterable[int]) -> NDArray[np.bool_]:
         """(N,) whether each segment from p0 to p1, both (N, 3) [m], crosses a covered cell of one of the planes `ids`.
 
         A segment that ends on a plane does not cross it; openings and what was never seen do not block.
         """
-        a = np.atleast_2d(np.asarray(p0, dtype=np.float64))
-        b = np.atleast_2d(np.asarray(p1, dtype=np.float64))
-        blocked = np.zeros(len(a), dtype=np.bool_)
+        return self.count_crossings(p0, p1, ids) > 0
+
+    def count_crossings(self, p0: ArrayLike, p1: ArrayLike, ids: Iterable[int]) -> NDArray[np.int64]:
+        """(N,) how many of the planes `ids` each segment crosses in a covered cell, as in `blocks_segment`."""
+        p, q = (np.ascontiguousarray(np.atleast_2d(np.asarray(end, dtype=np.float64))) for end in (p0, p1))
+        crossed = np.zeros(len(p), dtype=np.int64)
         slots = [slot for plane_id in ids if (slot := self._slot_of.get(int(plane_id))) is not None]
-        normals, offsets = self._pieces.normal[slots].T, self._pieces.offset[slots]
-        da, db = a @ normals - offsets, b @ normals - offsets
-        for k in np.flatnonzero((da * db < 0.0).any(axis=0)).tolist():
-            rows = np.flatnonzero(~blocked & (da[:, k] * db[:, k] < 0.0))
-            share = da[rows, k] / (da[rows, k] - db[rows, k])
-            at = a[rows] + share[:, None] * (b[rows] - a[rows])
-            coverage = self._pieces.coverage(slots[k])
-            blocked[rows] = coverage.near(coverage.frame.project(at), self.voxel_size_m)
-        return blocked
+        normals, offsets = self._pieces.normal, self._pieces.offset
+        if len(p) == 1 and len(slots) > 2:  # most planes about a segment have it on one side
+            sides = (p @ normals[slots].T - offsets[slots]) * (q @ normals[slots].T - offsets[slots])
+            slots = [slots[k] for k in np.flatnonzero(sides[0] < 0.0).tolist()]
+        for slot in slots:
+            self._pieces.coverage(slot).count_crossings(crossed, p, q, normals[slot], offsets[slot], self.voxel_size_m)
+        return crossed
 
     # -- change -------------------------------------------------------------------------------------------
     def update(self, surface: Surface, changed_blocks: Any) -> PlaneChange:

@@ -59,19 +59,65 @@ def cover(counts: Array, rows: Array, columns: Array, cell: Array, lowest: Array
     return change
 
 
+@njit(cache=True, inline="always")
+def _covered(counts: Array, u: int, v: int, reach: int) -> bool:
+    """Whether a covered cell of `counts` (U, V) lies within `reach` cells of cell u, v."""
+    for a in range(max(0, u - reach), min(counts.shape[0], u + reach + 1)):
+        for b in range(max(0, v - reach), min(counts.shape[1], v + reach + 1)):
+            if counts[a, b] > 0:
+                return True
+    return False
+
+
 @njit(cache=True)
 def covered_near(hit: Array, counts: Array, cell: Array, reach: int) -> None:
     """Whether a covered cell of `counts` (U, V) lies within `reach` cells of each `cell` (N, 2): hit (N,), in place."""
-    width, height = counts.shape
     for i in range(len(cell)):
-        hit[i] = False
-        for u in range(max(0, cell[i, 0] - reach), min(width, cell[i, 0] + reach + 1)):
-            for v in range(max(0, cell[i, 1] - reach), min(height, cell[i, 1] + reach + 1)):
-                if counts[u, v] > 0:
-                    hit[i] = True
-                    break
-            if hit[i]:
-                break
+        hit[i] = _covered(counts, cell[i, 0], cell[i, 1], reach)
+
+
+@njit(cache=True)
+def near_plane(
+    hit: Array, points: Array, counts: Array, lowest: Array, axes: Array, normal: Array, offset: float,
+    per_cell: float, reach: int, height: float,
+) -> None:  # fmt: skip
+    """Which points (N, 3) [m] lie within `height` [m] of a plane and project to within `reach` cells of a covered one.
+
+    hit    : (N,) bool, in place
+    axes   : (3, 3) origin, u and v of the raster [m], whose cell (0, 0) is `lowest` (2,);  per_cell : 1 / edge [1/m]
+    normal : (3,), and offset [m], of the plane
+    """
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        hit[i] = abs(x * normal[0] + y * normal[1] + z * normal[2] - offset) <= height and _at(
+            counts, lowest, axes, per_cell, reach, x, y, z
+        )
+
+
+@njit(cache=True)
+def count_crossings(
+    crossed: Array, p: Array, q: Array, counts: Array, lowest: Array, axes: Array, normal: Array, offset: float,
+    per_cell: float, reach: int,
+) -> None:  # fmt: skip
+    """Add one, in place, to `crossed` (N,) for each segment from p to q (N, 3) [m] that passes through a plane within
+    `reach` cells of a covered one; a segment that ends on the plane does not. The rest as in `near_plane`."""
+    for i in range(len(p)):
+        a = p[i, 0] * normal[0] + p[i, 1] * normal[1] + p[i, 2] * normal[2] - offset
+        b = q[i, 0] * normal[0] + q[i, 1] * normal[1] + q[i, 2] * normal[2] - offset
+        if a * b < 0.0:
+            s = a / (a - b)
+            x, y = p[i, 0] + s * (q[i, 0] - p[i, 0]), p[i, 1] + s * (q[i, 1] - p[i, 1])
+            z = p[i, 2] + s * (q[i, 2] - p[i, 2])
+            crossed[i] += _at(counts, lowest, axes, per_cell, reach, x, y, z)
+
+
+@njit(cache=True)
+def _at(counts: Array, lowest: Array, axes: Array, per_cell: float, reach: int, x: float, y: float, z: float) -> bool:
+    """Whether a point projects to within `reach` cells of a covered one."""
+    x, y, z = x - axes[0, 0], y - axes[0, 1], z - axes[0, 2]
+    u = np.int64(np.floor((x * axes[1, 0] + y * axes[1, 1] + z * axes[1, 2]) * per_cell)) - lowest[0]
+    v = np.int64(np.floor((x * axes[2, 0] + y * axes[2, 1] + z * axes[2, 2]) * per_cell)) - lowest[1]
+    return _covered(counts, u, v, reach)
 
 
 @njit(cache=True)

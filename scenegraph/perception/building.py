@@ -100,10 +100,10 @@ class Building:
         a, b = p + inset * (q - p), q - inset * (q - p)
         low, high = np.minimum(a, b), np.maximum(a, b)
         ids = self._near(low, high)
-        if ids and self._planes.blocks_segment(a[None], b[None], ids)[0]:
+        if ids and self._planes.blocks_segment(a, b, ids)[0]:
             return "blocked"
         beside = self._near(np.minimum(p, q), np.maximum(p, q))
-        if sum(bool(self._planes.blocks_segment(p[None], q[None], [i])[0]) for i in beside) >= 2:
+        if self._planes.count_crossings(p, q, beside)[0] >= 2:
             return "blocked"  # both faces of a wall that is little thicker than the two ends stand off it
         for node in self._walls.within((low, high), 0.1):
             normal, offset, along, start, end = self._lines[node]
@@ -137,7 +137,8 @@ class Building:
             :, None
         ]
         corners = np.concatenate([walls[:, :2] - CORNER_M * along, walls[:, 2:] + CORNER_M * along])
-        points = np.concatenate([[p[:2], q[:2]], corners])
+        detour = np.hypot(*(corners - p[:2]).T) + np.hypot(*(corners - q[:2]).T)
+        points = np.concatenate([[p[:2], q[:2]], corners[detour <= limit_m]])
         steps = kernels.sight(points, walls)
         rise = abs(float(p[2] - q[2]))
         lower = self._length(steps, rise, limit_m)
@@ -154,9 +155,9 @@ class Building:
         ground = offset * normal + steps[:, None] * along
         seen = np.zeros(len(ground) + 2, bool)
         through = np.array([*normal, 0.0]) * WALL_STEP_M
-        for z in heights:
-            at = np.column_stack([ground, np.full(len(ground), z)])
-            seen[1:-1] |= self._planes.blocks_segment(at - through, at + through, [int(node)])
+        at = np.column_stack([np.tile(ground, (len(heights), 1)), np.repeat(heights, len(ground))])
+        crossed = self._planes.blocks_segment(at - through, at + through, [int(node)])
+        seen[1:-1] = crossed.reshape(len(heights), -1).any(axis=0)
         first, last = np.flatnonzero(seen[1:] & ~seen[:-1]), np.flatnonzero(seen[:-1] & ~seen[1:]) - 1
         if not len(first):
             return np.empty((0, 4))
