@@ -112,7 +112,7 @@ def count_crossings(
 
 
 @njit(cache=True)
-def _at(counts: Array, lowest: Array, axes: Array, per_cell: float, reach: int, x: float, y: float, z: float) -> bool:
+def _at(counts: Array, lowest: Array, axes: Array, per_cell: float, reach: int, x: float, y: float, z: float) -> Any:
     """Whether a point projects to within `reach` cells of a covered one."""
     x, y, z = x - axes[0, 0], y - axes[0, 1], z - axes[0, 2]
     u = np.int64(np.floor((x * axes[1, 0] + y * axes[1, 1] + z * axes[1, 2]) * per_cell)) - lowest[0]
