@@ -80,6 +80,17 @@ def labels_near(
 ) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:
     """Class ids (N,) at points (N, 3) [m] and how sure they are (N,), or, where the voxel of a point has none, of the
     nearest voxel that has one and whose centre is not farther than `reach_m`; 0 and NaN where there is none."""
+    centres, near = nearest_labelled(p_map, semantics, reach_m)
+    labels, confidence = np.zeros(len(near), np.uint16), np.full(len(near), np.nan, np.float32)
+    labels[near], confidence[near] = semantics.query(centres)
+    return labels, confidence
+
+
+def nearest_labelled(
+    p_map: ArrayLike, semantics: SemanticMap, reach_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Where the label is that `labels_near` gives to points (N, 3) [m]: the centres (M, 3) [m] of these voxels, and
+    which points (N,) bool have one."""
     points = as_points(p_map)
     store = semantics.store
     cells = np.empty(len(points), np.int64)
@@ -89,9 +100,7 @@ def labels_near(
         semantics.voxel_size_m, reach, cells,
     )  # fmt: skip
     near = cells >= 0
-    labels, confidence = np.zeros(len(points), np.uint16), np.full(len(points), np.nan, np.float32)
-    labels[near], confidence[near] = semantics.query(ijk_to_centre(store.ijk(cells[near]), semantics.voxel_size_m))
-    return labels, confidence
+    return ijk_to_centre(store.ijk(cells[near]), semantics.voxel_size_m), near
 
 
 def labels_of_cubes(

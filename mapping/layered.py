@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter
 
 from mapping.clearing import Clearing
+from mapping.clusters import ClusterMap
 from mapping.esdf import EsdfMap
 from mapping.geometry import SE3
 from mapping.histograms import ClassHistogram, OrientedBox, class_histogram
@@ -38,14 +39,19 @@ REGISTRATION_STEP = 12
 """Every so many-th row and column of an image takes part in the correction of its pose …"""
 REGISTRATION_RANGE_M = 4.5
 """… where it measured less than this."""
+SWEEP_VIEWS = 4
+"""A scan, which looks all around at once, is worth so many images."""
 MOVING_RIM_PX = 3
 """Masks of what moves are taken for so much larger: what they leave out, later views show anyway."""
 
 
 @dataclass(frozen=True)
 class MapChange:
-    """What one observation changed on each floor of the map; `T_map_camera`: an image's pose as the map corrected
-    it."""
+    """What one observation changed on each floor of the map.
+
+    T_map_camera  an image's pose as the map corrected it
+    bare_views    how many images without labels the observation is worth, 0 where it has labels
+    """
 
     occupancy: Changed
     tsdf: Changed
@@ -53,10 +59,12 @@ class MapChange:
     instances: InstanceChange = field(default_factory=lambda: InstanceChange(frozenset(), {}))
     moving: MovingChange = field(default_factory=MovingChange)
     T_map_camera: SE3 | None = None
+    bare_views: int = 0
 
 
 class LayeredMap:
-    """Occupancy, signed distance, planes, class votes and instances; and a distance field that follows the occupancy.
+    """Occupancy, signed distance, planes, class votes and instances, and clusters, which whoever knows what the planes
+    are keeps up to date; and a distance field that follows the occupancy.
 
     voxel_size_m           edge of the voxels of occupancy and signed distance [m]
     instance_voxel_size_m  edge of the finer voxels of classes and things [m]
@@ -94,6 +102,7 @@ class LayeredMap:
         self.semantics.things = self.instances
         self.moving = MovingThings(voxel_size_m=instance_voxel_size_m)
         self.planes = PlaneMap(voxel_size_m)
+        self.clusters = ClusterMap(voxel_size_m)
         self.esdf = self._distance_field()
         self._clearing = Clearing()
         self._bleed: defaultdict[str, Bleed] = defaultdict(Bleed)  # of the masks of each sensor
@@ -110,6 +119,8 @@ class LayeredMap:
         """The arrays of all layers, by layer."""
         layers = {name: layer.state() for name, layer in self.layers.items()}
         rest = {"moving": self.moving.state(), "planes": self.planes.state(), "clearing": self._clearing.state()}
+        if len(self.clusters):
+            rest["clusters"] = self.clusters.state()
         return {**layers, **rest, "bleed": {sensor: bleed.masks for sensor, bleed in self._bleed.items()}}
 
     def restore(self, state: Mapping[str, Mapping[str, Array]]) -> None:
@@ -121,6 +132,8 @@ class LayeredMap:
         self.semantics.things = self.instances
         self.moving = MovingThings.from_state(state["moving"])
         self.planes.restore(state["planes"])
+        if "clusters" in state:
+            self.clusters = ClusterMap.from_state(state["clusters"], self.tsdf.voxel_size_m)
         self._clearing = Clearing.from_state(state["clearing"])
         self._bleed.update({sensor: Bleed(masks) for sensor, masks in state.get("bleed", {}).items()})
         self.esdf = self._distance_field()
@@ -144,7 +157,7 @@ class LayeredMap:
         lost = self._clearing.update(view, self.occupancy, self.semantics, self.instances)
         instances = replace(instances, touched=instances.touched | lost)
         followed = self._follow(image, T_map_camera, moving)
-        return MapChange(occupancy, tsdf, planes, instances, followed, T_map_camera)
+        return MapChange(occupancy, tsdf, planes, instances, followed, T_map_camera, int(image.labels is None))
 
     def _still(self, image: RgbdImage, T_map_camera: SE3, moving: Array) -> Array:
         """The depth image without what moves: what is labelled so, and what is where something that is followed should
@@ -218,7 +231,7 @@ class LayeredMap:
         if scan.labels is not None:
             near = np.linalg.norm(scan.points, axis=1) < self.max_range_m
             self.semantics.integrate(T_map_sensor @ scan.points[near], scan.labels[near])
-        return MapChange(occupancy, tsdf, planes)
+        return MapChange(occupancy, tsdf, planes, bare_views=SWEEP_VIEWS if scan.labels is None else 0)
 
 
 def beside(mask: Array, pixels: int) -> Array:

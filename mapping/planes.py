@@ -155,6 +155,29 @@ class PlaneMap:
         """Samples (N, 3) float32 [m] on a plane, thinned to `at_most`."""
         return self._pieces.samples(self._slot_of[plane_id], at_most)
 
+    def equations(self, ids: Iterable[int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Normals (K, 3) and offsets (K,) [m] of the planes `ids`."""
+        slots = [self._slot_of[i] for i in ids]
+        return self._pieces.normal[slots], self._pieces.offset[slots]
+
+    def blocks_of(self, plane_id: int) -> NDArray[np.int32]:
+        """The blocks (K, 3) of the surface that hold samples of a plane."""
+        return np.array(sorted(self._pieces.blocks(self._slot_of[plane_id])), np.int32).reshape(-1, 3)
+
+    def samples_in(self, block_ijk: Array) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
+        """The surface in blocks (K, 3): points (N, 3) float32 [m], the id (N,) of the plane of each, 0 where it is on
+        none that is told of, and the row (N,) of its block, ascending."""
+        points, slots, owner = self._pieces.samples_in(block_ijk.tolist())
+        ids = np.zeros(int(slots.max(initial=-1)) + 2, np.int64)  # the last is that of no piece
+        for slot in np.unique(slots[slots >= 0]).tolist():
+            ids[slot] = self._id_of.get(slot, 0)
+        return points, ids[slots], owner
+
+    def ids_near(self, block_ijk: Array) -> list[int]:
+        """The planes, ascending, of which samples lie in or next to (0.2 to 0.45 m) one of the blocks (K, 3)."""
+        _, slots, _ = self._pieces.nearby(np.unique(self._pieces.place_codes(block_ijk)))
+        return sorted(self._id_of[slot] for slot in set(slots.tolist()) if slot in self._id_of)
+
     def spread(self, plane_id: int, at_most: int) -> Array:
         """Some `at_most` points (N, 3) [m] spread evenly over what is covered of a plane."""
         slot = self._slot_of[plane_id]

@@ -36,7 +36,13 @@ class Objects:
         self._structural = structural
         self.shapes: dict[str, Shape] = {}
         self.labels: dict[str, str] = {}
+        self.inherited: Callable[[Shape], str | None] = lambda _: None
+        """The id under which a thing that gets a name now has been known until now, if it has been."""
         self._node_of: dict[int, str] = {}
+
+    def is_node(self, instance_ids: Array) -> Array:
+        """(N,) bool: whether the things behind these instance ids (N,) are nodes."""
+        return np.isin(instance_ids, list(self._node_of))
 
     def update(
         self, instances: InstanceMap, change: InstanceChange, graph: SceneGraph
@@ -84,7 +90,8 @@ class Objects:
             self._bury(instance_id, None, changes, reshaped)  # a node's layer never changes: it starts anew
             node_id = None
         if node_id is None:
-            node_id = self._node_of[instance_id] = self._name(instance_id, structural, graph)
+            known = None if structural else self.inherited(shape)
+            node_id = self._node_of[instance_id] = known or self._name(instance_id, structural, graph)
         if self.labels.get(node_id) != label:
             self.labels[node_id] = label
             reshaped.add(node_id)

@@ -18,6 +18,7 @@ from scenegraph.graph.delta import NodeDeletion
 from scenegraph.labels import Labels
 from scenegraph.perception import told_rooms
 from scenegraph.perception.building import Building
+from scenegraph.perception.clusters import Clusters
 from scenegraph.perception.movers import move_nodes
 from scenegraph.perception.objects import Objects
 from scenegraph.perception.passages import Passages
@@ -43,6 +44,8 @@ class Perception:
         self._meaning = meaning
         self.structure = Structure()
         self.objects = Objects(labels.name, meaning.is_structural)
+        self.clusters = Clusters(self.objects.shapes, self.objects.labels, self.objects.is_node)
+        self.objects.inherited = lambda shape: self.clusters.inherit(map_.clusters, shape)
         self.rooms = Rooms()
         self.passages = Passages()
         self.building = Building(map_.planes, map_.occupancy)
@@ -61,6 +64,11 @@ class Perception:
 
         object_changes, reshaped = self.objects.update(self._map.instances, seen.instances, graph)
         changes.extend(object_changes)
+        cluster_changes, reclustered = self.clusters.update(
+            self._map, seen, labelled, reshaped, self._labels.things, graph, stamp_ns
+        )
+        changes.extend(cluster_changes)
+        reshaped |= reclustered
         mover_changes, moved = move_nodes(self._map.moving, seen.moving, self._labels.name, graph)
         changes.extend(mover_changes)
         room_changes, moved_rooms = self.rooms.update(self._map.occupancy, seen.occupancy, labelled, graph, stamp_ns)
@@ -114,7 +122,7 @@ class Perception:
             case "delete", (str(node),):
                 graph.node(node)
                 reason_given = told.reason or f"deleted by {told.author}"
-                touched = self.objects.forget(node, self._map.instances)
+                touched = self.objects.forget(node, self._map.instances) | self.clusters.forget(node)
                 changes.delete_node(node, reason_given)
                 measured = self.relations.update(self.objects.shapes, self.objects.labels, touched, self.building)
             case "merge", (str(kept), str(lost)) if "room" in (graph.node(kept).layer, graph.node(lost).layer):
@@ -163,6 +171,7 @@ class Perception:
         """What is known besides the graph and the map, as JSON values."""
         return {
             "objects": self.objects.document(),
+            "clusters": self.clusters.document(),
             "relations": self.relations.document(),
             "structure": self.structure.document(),
         }
@@ -172,8 +181,10 @@ class Perception:
         self.objects.restore(document["objects"], self._map.instances, graph)
         self.rooms.restore(rooms, graph)
         self.passages.restore(graph)
-        self.relations.restore(document["relations"], self.objects.shapes)
         self.structure.restore(document["structure"], self._map.planes, graph)
+        if "clusters" in document:
+            self.clusters.restore(document["clusters"], self._map, self.structure.labels, graph)
+        self.relations.restore(document["relations"], self.objects.shapes)
         labelled = [(label, self._map.planes.plane(i)) for i, label in self.structure.labels.items()]
         self.building.update(labelled, ())
 

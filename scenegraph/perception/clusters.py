@@ -1,0 +1,285 @@
+"""Things that nobody named: clusters of the map become object nodes of label `object`, until a label comes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.clusters import LEVEL, ClusterChange, ClusterMap, Component, Role
+from mapping.kernels import columns
+from mapping.labelled import nearest_labelled
+from mapping.layered import LayeredMap, MapChange
+from mapping.planes import Plane, PlaneMap
+from scenegraph.graph import GraphChanges, Node, SceneGraph
+from scenegraph.perception.objects import significantly_different
+from scenegraph.perception.shapes import Shape
+
+Array: TypeAlias = NDArray[Any]
+
+LABEL = "object"
+LEAST_VIEWS = 4
+"""A cluster becomes a node when so many images saw it: one more than a labelled thing needs, which goes first."""
+SURE_VIEWS = 6.0
+"""A cluster that was seen so often is there with a confidence of 1 − 1/e."""
+SUPPORT_M2 = 0.2
+"""A level surface that is no floor carries things when it is this large: a table, not a book."""
+TAKES_SHARE = 0.5
+"""A thing with a name that covers this share of a cluster is what the cluster was."""
+FEET_VOXELS = 3.0
+"""What ends so shortly above a level plane stands on it: what lies next to a plane is the plane's."""
+GROWN_SHARE = 0.15
+RESIZED_M = 0.04
+"""A cluster is measured anew when its voxels became more or less by this share, or its sides moved by this much."""
+REFRESH_NS = 5_000_000_000
+
+
+class Clusters:
+    """Keeps nodes in step with the clusters of a map; each id lasts as long as its component does.
+
+    shapes, labels  of all things, by node id; those of clusters are written here too
+    is_named        instance ids (N,) → (N,) bool: whether they are nodes already
+    """
+
+    def __init__(self, shapes: dict[str, Shape], labels: dict[str, str], is_named: Callable[[Array], Array]) -> None:
+        self._shapes = shapes
+        self._labels = labels
+        self._is_named = is_named
+        self._node_of: dict[int, str] = {}
+        self._measured: dict[int, tuple[int, Array, Array]] = {}
+        self._told: dict[str, Node] = {}
+        self._dismissed: set[int] = set()
+        self._again: set[int] = set()
+
+    # -- names that come later ----------------------------------------------------------------------------
+    def inherit(self, clusters: ClusterMap, shape: Shape) -> str | None:
+        """The node id of the cluster that a thing with a name is, which is the thing's from now on."""
+        if not self._node_of:
+            return None
+        shares = clusters.covered(shape.points)
+        best = max((i for i in shares if i in self._node_of), key=lambda i: (shares[i], -i), default=None)
+        if best is None or shares[best] < TAKES_SHARE:
+            return None
+        node_id = self._node_of.pop(best)
+        self._told.pop(node_id)
+        self._measured.pop(best, None)
+        self._again.add(best)
+        return node_id
+
+    # -- change -------------------------------------------------------------------------------------------
+    def update(
+        self,
+        map_: LayeredMap,
+        seen: MapChange,
+        fresh: Iterable[tuple[str, Plane]],
+        named: Iterable[str],
+        things: Array,
+        graph: SceneGraph,
+        stamp_ns: int,
+    ) -> tuple[GraphChanges, set[str]]:
+        """The changes of the nodes, and the ids of those whose shape is new, changed or gone.
+
+        fresh   planes that were labelled or measured anew, with their labels
+        named   nodes of things with a name whose shape is new or changed: no cluster is where they are
+        things  (65536,) bool: class ids that have instances
+        """
+        changes, reshaped = GraphChanges(), set[str]()
+        clusters, planes = map_.clusters, map_.planes
+        clusters.forget_planes(seen.planes.deleted)
+        clusters.assign(planes, {plane.id: role_of(label, plane) for label, plane in fresh})
+        if len(clusters):
+            for node_id in sorted(named):
+                if node_id in self._shapes:
+                    clusters.look_again(self._shapes[node_id].points)
+        change = clusters.update(
+            planes, seen.tsdf.blocks, stamp_ns, found=seen.bare_views > 0, views=seen.bare_views,
+            named=self._naming(map_, things),
+        )  # fmt: skip
+        self._follow(change, clusters, planes, graph, changes, reshaped)
+        return changes, reshaped
+
+    def _naming(self, map_: LayeredMap, things: Array) -> Callable[[Array], Array] | None:
+        if not len(map_.semantics.block_ijk):
+            return None
+
+        def named(points: Array) -> Array:
+            centres, near = nearest_labelled(points, map_.semantics, map_.tsdf.voxel_size_m)
+            found = np.zeros(len(points), np.bool_)
+            labels, _ = map_.semantics.query(centres)
+            found[near] = ((labels > 0) & ~things[labels]) | self._is_named(map_.instances.query(centres))
+            return found
+
+        return named
+
+    def _follow(
+        self,
+        change: ClusterChange,
+        clusters: ClusterMap,
+        planes: PlaneMap,
+        graph: SceneGraph,
+        changes: GraphChanges,
+        reshaped: set[str],
+    ) -> None:
+        for lost, kept in sorted(change.merged.items()):
+            if lost in self._node_of and kept not in self._node_of:
+                self._node_of[kept] = self._node_of.pop(lost)  # the other had no node yet: the node lives on
+                self._measured.pop(kept, None)
+        touched = {*change.touched, *change.seen, *self._again}
+        self._again.clear()
+        for component_id in sorted(touched):
+            component = clusters.components.get(component_id)
+            heir = self._node_of.get(change.merged.get(component_id, 0))
+            if component is None or not clusters.is_thing(component) or component_id in self._dismissed:
+                self._bury(component_id, heir, component is None, changes, reshaped)
+            elif component_id in self._node_of or component.views >= LEAST_VIEWS:
+                self._refresh(component, clusters, planes, graph, changes, reshaped)
+
+    def _bury(self, component_id: int, heir: str | None, gone: bool, changes: GraphChanges, reshaped: set[str]) -> None:
+        self._measured.pop(component_id, None)
+        node_id = self._node_of.pop(component_id, None)
+        if gone:
+            self._dismissed.discard(component_id)
+        if node_id is None:
+            return
+        self._drop(node_id)
+        reason = "the same thing as another" if heir else "no longer seen" if gone else "found to be no single thing"
+        changes.delete_node(node_id, reason, became=heir)
+        reshaped.add(node_id)
+
+    def _drop(self, node_id: str) -> None:
+        self._told.pop(node_id, None)
+        self._shapes.pop(node_id, None)
+        self._labels.pop(node_id, None)
+
+    def _refresh(
+        self,
+        component: Component,
+        clusters: ClusterMap,
+        planes: PlaneMap,
+        graph: SceneGraph,
+        changes: GraphChanges,
+        reshaped: set[str],
+    ) -> None:
+        node_id = self._node_of.get(component.id)
+        shape = None if node_id is None else self._shapes.get(node_id)
+        if shape is None or self._changed(component, clusters.voxel_size_m):
+            self._measured[component.id] = component.n_voxels, component.low, component.high
+            measured = shape_of(component.id, clusters, planes)
+            if measured is None:
+                self._bury(component.id, None, False, changes, reshaped)
+                return
+            if node_id is None:
+                node_id = self._node_of[component.id] = _name(component.id, graph)
+                self._labels[node_id] = LABEL
+            if shape is None or significantly_different(shape, measured):
+                self._shapes[node_id] = shape = measured
+                reshaped.add(node_id)
+        assert node_id is not None
+        confidence = round(float(1.0 - np.exp(-component.views / SURE_VIEWS)), 1)
+        told = self._told.get(node_id)
+        if (
+            told is None
+            or node_id in reshaped
+            or told.confidence != confidence
+            or component.last_seen_ns - told.last_seen_ns >= REFRESH_NS
+        ):
+            self._told[node_id] = node = Node(
+                id=node_id,
+                layer="object",
+                label=LABEL,
+                position=shape.box.center,
+                box=shape.box,
+                confidence=confidence,
+                first_seen_ns=component.first_seen_ns,
+                last_seen_ns=component.last_seen_ns,
+                attributes={"voxels": len(shape.points), "views": component.views},
+            )
+            changes.put(node)
+
+    def _changed(self, component: Component, voxel_size_m: float) -> bool:
+        known = self._measured.get(component.id)
+        if known is None:
+            return True
+        n, low, high = known
+        return bool(
+            abs(component.n_voxels - n) > GROWN_SHARE * n
+            or max(np.abs(component.low - low).max(), np.abs(component.high - high).max())
+            > max(1.5 * voxel_size_m, RESIZED_M)
+        )
+
+    # -- what an operator states --------------------------------------------------------------------------
+    def forget(self, node_id: str) -> set[str]:
+        """Give up the cluster behind a node, for as long as it lasts; returns the ids whose shape is gone."""
+        for component_id, name in self._node_of.items():
+            if name == node_id:
+                del self._node_of[component_id]
+                self._measured.pop(component_id, None)
+                self._dismissed.add(component_id)
+                self._drop(node_id)
+                return {node_id}
+        return set()
+
+    # -- state --------------------------------------------------------------------------------------------
+    def document(self) -> dict[str, Any]:
+        """Which component is which node, and which are to be none, as JSON values."""
+        return {"nodes": [[i, name] for i, name in self._node_of.items()], "dismissed": sorted(self._dismissed)}
+
+    def restore(
+        self, document: Mapping[str, Any], map_: LayeredMap, structure: Mapping[int, str], graph: SceneGraph
+    ) -> None:
+        """Take over what `document` gave; `structure`: the label of each plane. Shapes are measured anew."""
+        clusters, planes = map_.clusters, map_.planes
+        roles = {i: role_of(label, planes.plane(i)) for i, label in structure.items() if i in planes}
+        clusters.assign(planes, roles)
+        self._dismissed = set(document["dismissed"])
+        for component_id, name in document["nodes"]:
+            self._node_of[component_id] = name
+            self._told[name] = graph.node(name)
+            self._labels[name] = LABEL
+            component = clusters.components[component_id]
+            self._measured[component_id] = component.n_voxels, component.low, component.high
+            shape = shape_of(component_id, clusters, planes)
+            if shape is not None:
+                self._shapes[name] = shape
+
+
+def role_of(label: str, plane: Plane) -> Role | None:
+    """What a plane with this label is to things."""
+    if label != "no_feature":
+        return "structure"
+    return "support" if plane.normal[2] > LEVEL and plane.area_m2 >= SUPPORT_M2 else None
+
+
+def shape_of(component_id: int, clusters: ClusterMap, planes: PlaneMap) -> Shape | None:
+    """The shape of a component, down to what it stands on; None where there is too little for one."""
+    points = clusters.points(component_id, planes)
+    points = grounded(points, planes, clusters.carriers(component_id, planes), clusters.voxel_size_m)
+    return Shape.trimmed(points, np.ones(len(points), np.float32), clusters.voxel_size_m)
+
+
+def grounded(
+    points: NDArray[np.float32], planes: PlaneMap, carriers: list[int], voxel_size_m: float
+) -> NDArray[np.float32]:
+    """Surface points (N, 3) [m], and the feet that were left out because they lie on a plane: below the lowest point of
+    every column that ends shortly above one of the planes `carriers`."""
+    keys = columns.column_keys(points, voxel_size_m)
+    bottoms = points[columns.column_bottoms(points, keys, np.lexsort((points[:, 2], keys)))]
+    normals, offsets = planes.equations(carriers)
+    above = bottoms @ normals.T - offsets
+    parts = [points]
+    for k, plane_id in enumerate(carriers):
+        rows = np.flatnonzero((above[:, k] > 0.5 * voxel_size_m) & (above[:, k] < FEET_VOXELS * voxel_size_m))
+        if len(rows):
+            rows = rows[planes.near(plane_id, bottoms[rows], 1.5 * voxel_size_m, np.inf)]
+            parts.append((bottoms[rows] - above[rows, k, None] * normals[k]).astype(np.float32))
+    return np.concatenate(parts)
+
+
+def _name(component_id: int, graph: SceneGraph) -> str:
+    name, again = f"object_c{component_id}", 1
+    while name in graph or graph.tombstone(name) is not None:
+        again += 1
+        name = f"object_c{component_id}_{again}"
+    return name
