@@ -164,6 +164,19 @@ class Coverage:
             self._cells_in(reach_m),
         )  # fmt: skip
 
+    def seen_along(
+        self, n: int, begin: Array, step: Array, heights: Array, half: Array, normal: Array, offset: float,
+        reach_m: float,
+    ) -> NDArray[np.bool_]:  # fmt: skip
+        """(n,) whether the plane normal·p = offset is covered at one of the heights (H,) over places of the ground; see
+        `kernels.rasters.seen_along`."""
+        seen = np.empty(n, dtype=np.bool_)
+        kernels.seen_along(
+            seen, begin, step, heights, half, self._counts, self._low, self.frame.rows, normal, offset,
+            1.0 / self.cell_size_m, self._cells_in(reach_m),
+        )  # fmt: skip
+        return seen
+
     def _cells_in(self, reach_m: float) -> int:
         return max(1, round(reach_m / self.cell_size_m))
 

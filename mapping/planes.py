@@ -215,6 +215,16 @@ class PlaneMap:
             self._pieces.coverage(slot).count_crossings(crossed, p, q, normals[slot], offsets[slot], self.voxel_size_m)
         return crossed
 
+    def seen_along(
+        self, plane_id: int, n: int, begin: Array, step: Array, heights: Array, half: Array
+    ) -> NDArray[np.bool_]:
+        """(n,) whether an upright plane was seen at one of the heights (H,) [m] over the places begin + i · step (2,)
+        [m] of the ground, no farther than `half` (2,) [m] before or behind."""
+        slot = self._slot_of[plane_id]
+        return self._pieces.coverage(slot).seen_along(
+            n, begin, step, heights, half, self._pieces.normal[slot], self._pieces.offset[slot], self.voxel_size_m
+        )
+
     # -- change -------------------------------------------------------------------------------------------
     def update(self, surface: Surface, changed_blocks: Any) -> PlaneChange:
         """Read the blocks that changed (a `Changed`, or indices (K, 3)) from the surface anew, and follow."""

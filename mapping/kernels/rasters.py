@@ -112,6 +112,27 @@ def count_crossings(
 
 
 @njit(cache=True)
+def seen_along(
+    seen: Array, begin: Array, step: Array, heights: Array, half: Array, counts: Array, lowest: Array, axes: Array,
+    normal: Array, offset: float, per_cell: float, reach: int,
+) -> None:  # fmt: skip
+    """Whether a plane is covered, within `reach` cells, at one of the heights (H,) [m] over places begin + i · step
+    (2,) [m] of the ground: seen (N,) bool, in place. Looked at is where the way from `half` (2,) [m] before such a
+    place to as far behind it meets the plane. The rest as in `near_plane`."""
+    for i in range(len(seen)):
+        x, y = begin[0] + i * step[0], begin[1] + i * step[1]
+        seen[i] = False
+        for z in heights:
+            middle = x * normal[0] + y * normal[1] + z * normal[2] - offset
+            turn = half[0] * normal[0] + half[1] * normal[1]
+            if abs(middle) < abs(turn):
+                s = middle / turn
+                if _at(counts, lowest, axes, per_cell, reach, x - s * half[0], y - s * half[1], z):
+                    seen[i] = True
+                    break
+
+
+@njit(cache=True)
 def _at(counts: Array, lowest: Array, axes: Array, per_cell: float, reach: int, x: float, y: float, z: float) -> Any:
     """Whether a point projects to within `reach` cells of a covered one."""
     x, y, z = x - axes[0, 0], y - axes[0, 1], z - axes[0, 2]

@@ -46,6 +46,7 @@ class Building:
         for plane_id in gone:
             self._index.remove(str(plane_id))
             self._walls.remove(str(plane_id))
+            self._lines.pop(str(plane_id), None)
             self._floors.remove(f"plane_{plane_id}")
         for label, plane in labelled:
             corners = np.concatenate(plane.rings)
@@ -55,6 +56,7 @@ class Building:
             else:
                 self._index.remove(str(plane.id))
             self._walls.remove(str(plane.id))
+            self._lines.pop(str(plane.id), None)
             if label == "wall":
                 normal = plane.normal[:2] / np.linalg.norm(plane.normal[:2])
                 along = np.array([-normal[1], normal[0]])
@@ -94,18 +96,18 @@ class Building:
         """
         p, q = np.asarray(p, dtype=np.float64), np.asarray(q, dtype=np.float64)
         length = float(np.linalg.norm(q - p))
-        if length < 1e-6:
+        about = self._near(np.minimum(p, q), np.maximum(p, q)) if length >= 1e-6 else []
+        if not about:
             return "clear"
         inset = min(INSET_M, 0.3 * length) / length
         a, b = p + inset * (q - p), q - inset * (q - p)
-        low, high = np.minimum(a, b), np.maximum(a, b)
-        ids = self._near(low, high)
-        if ids and self._planes.blocks_segment(a, b, ids)[0]:
+        if self._planes.blocks_segment(a, b, about)[0]:
             return "blocked"
-        beside = self._near(np.minimum(p, q), np.maximum(p, q))
-        if self._planes.count_crossings(p, q, beside)[0] >= 2:
+        if self._planes.count_crossings(p, q, about)[0] >= 2:
             return "blocked"  # both faces of a wall that is little thicker than the two ends stand off it
-        for node in self._walls.within((low, high), 0.1):
+        for node in map(str, about):
+            if node not in self._lines:
+                continue
             normal, offset, along, start, end = self._lines[node]
             da, db = float(a[:2] @ normal - offset), float(b[:2] @ normal - offset)
             if da * db >= 0.0:
@@ -130,7 +132,7 @@ class Building:
         p, q = np.asarray(p, dtype=np.float64), np.asarray(q, dtype=np.float64)
         reach = 0.5 * limit_m
         low, high = np.minimum(p, q) - reach, np.maximum(p, q) + reach
-        heights = (min(p[2], q[2]), 0.5 * (p[2] + q[2]), max(p[2], q[2]))
+        heights = np.array([min(p[2], q[2]), 0.5 * (p[2] + q[2]), max(p[2], q[2])])
         parts = [self._seen_parts(node, low, high, heights) for node in self._walls.within((low, high), 0.0)]
         walls = np.concatenate(parts) if parts else np.empty((0, 4))
         along = (walls[:, 2:] - walls[:, :2]) / np.maximum(np.linalg.norm(walls[:, 2:] - walls[:, :2], axis=1), 1e-9)[
@@ -146,24 +148,26 @@ class Building:
             return np.inf, np.inf
         return self._length(self._through_seen_space(steps, points, heights[1]), rise, limit_m), lower
 
-    def _seen_parts(self, node: str, low: Array, high: Array, heights: tuple[float, ...]) -> Array:
+    def _seen_parts(self, node: str, low: Array, high: Array, heights: Array) -> Array:
         """The parts (M, 4) of a wall, x0, y0, x1, y1, that were seen at one of the heights, between two corners
         (3,)."""
         normal, offset, along, start, end = self._lines[node]
         corners = np.array([low[:2], [low[0], high[1]], high[:2], [high[0], low[1]]]) @ along
         steps = np.arange(max(start, corners.min()), min(end, corners.max()), WALL_STEP_M)
-        ground = offset * normal + steps[:, None] * along
-        seen = np.zeros(len(ground) + 2, bool)
-        through = np.array([*normal, 0.0]) * WALL_STEP_M
-        at = np.column_stack([np.tile(ground, (len(heights), 1)), np.repeat(heights, len(ground))])
-        crossed = self._planes.blocks_segment(at - through, at + through, [int(node)])
-        seen[1:-1] = crossed.reshape(len(heights), -1).any(axis=0)
+        if not len(steps):
+            return np.empty((0, 4))
+        begin = offset * normal + steps[0] * along
+        seen = np.zeros(len(steps) + 2, bool)
+        seen[1:-1] = self._planes.seen_along(
+            int(node), len(steps), begin, WALL_STEP_M * along, heights, WALL_STEP_M * normal
+        )
         first, last = np.flatnonzero(seen[1:] & ~seen[:-1]), np.flatnonzero(seen[:-1] & ~seen[1:]) - 1
         if not len(first):
             return np.empty((0, 4))
         at_start, at_end = steps[first] - start < CORNER_GAP_M, end - steps[last] < CORNER_GAP_M
         before = np.where(at_start, CORNER_GAP_M, 0.5 * WALL_STEP_M)[:, None] * along
         after = np.where(at_end, CORNER_GAP_M, 0.5 * WALL_STEP_M)[:, None] * along
+        ground = offset * normal + steps[:, None] * along
         return np.concatenate([ground[first] - before, ground[last] + after], axis=1)
 
     def _through_seen_space(self, steps: Array, points: Array, z: float) -> Array:
