@@ -152,14 +152,20 @@ def _plain(value: Any, path: str) -> Any:
             raise ValueError(f"{path}: expected a finite number, got {value}")
         return float(value)
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist(), path)
+        kind, plain = value.dtype.kind, value.tolist()
+        return plain if kind in "biu" or (kind == "f" and np.isfinite(value).all()) else _plain(plain, path)
     if isinstance(value, dict | Mapping):
         for key in value:
             if not isinstance(key, str):
                 raise ValueError(f"{path}: expected names as keys, got {shown(key)}")
         return {key: _plain(item, f"{path}.{key}") for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item, f"{path}[{i}]") for i, item in enumerate(value)]
+        return [
+            item
+            if type(item) in _PLAIN_TYPES or (type(item) is float and math.isfinite(item))
+            else _plain(item, f"{path}[{i}]")
+            for i, item in enumerate(value)
+        ]
     raise ValueError(f"{path}: expected a JSON value (text, number, truth value, list, mapping), got {shown(value)}")
 
 
