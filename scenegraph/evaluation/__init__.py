@@ -5,6 +5,8 @@
 - `objects.*`: over things with ≥ 200 pixels in ≥ 3 images; found when a node of its class lies within 0.25 m of its
   centre, one to one. Nodes of things seen less count neither way.
 - `rooms.*`: found when a room node overlaps it by half (intersection over union), one to one.
+- `doors.*`: doors, doorways and openings between two rooms; found when a node within 0.5 m of its middle, seen from
+  above, connects the right rooms, one to one.
 - `relations.R.*`: over pairs of which both ends are matched; `recall_all` over all pairs of counted things.
 - `semantics.*`: over voxels within a voxel of a surface, whose truth is that of the nearest one; see `semantics`.
 """

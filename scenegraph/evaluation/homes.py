@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from mapping.observations import RgbdImage
 from scenegraph.config import WorldConfig
+from scenegraph.evaluation.doors import judge_doors
 from scenegraph.evaluation.graph import judge_objects, judge_planes, judge_relations, judge_rooms
 from scenegraph.evaluation.result import Evaluation
 from scenegraph.evaluation.semantics import judge_voxels
@@ -76,6 +77,7 @@ def judge(world: World, home: Home, recorder: TruthRecorder, result: Evaluation,
     result.uncounted += [f"{home.seed}: {o.id}" for o in home.objects if o.id not in countable]
     things = judge_objects(world, home, countable, result)
     rooms = judge_rooms(world, home, result)
+    judge_doors(world, home, rooms, result)
     judge_relations(world, home, things | rooms, countable, result)
     judge_planes(world, home, recorder, result)
     result.notes += judge_voxels(world, home, recorder, result.semantics, views)

@@ -23,11 +23,14 @@ DOORWAY_M = 1.3
 LEAF_M = 0.9
 """A door leaf belongs to the passage whose middle is this near the middle of the leaf, ajar or not."""
 THROUGH_M = 0.3
-"""A passage is open where space is free this far to both sides of the border between the rooms …"""
+"""A passage is open where a straight way, free so far to both sides of the border, leads from room to room …"""
 HEIGHTS_M = (1.0, 1.4, 1.8)
-"""… at these heights over the floor."""
-SIDE_M = 0.35
-"""How far from the middle of a shut door its rooms are looked for."""
+"""… at these heights over the floor …"""
+DIRECTIONS = np.stack([np.cos(np.arange(8) * np.pi / 8), np.sin(np.arange(8) * np.pi / 8)], axis=1)
+"""… in one of these directions: homes lie askew in the grid."""
+SIDES_M = (0.2, 0.35)
+"""How far from the middle of a shut door its rooms are looked for: a leaf that stands open before a wall has only one
+room beside it."""
 SAME_M = 0.5
 """A passage between the same rooms whose middle moved less than this is the same passage."""
 
@@ -86,7 +89,7 @@ class Passages:
         for edge in graph.edges("connects"):
             rooms = sorted({e.target for e in graph.edges("connects", source=edge.source)})
             if len(rooms) == 2:
-                x, y = graph.node(edge.source).position[:2].tolist()
+                x, y = edge.attributes.get("at", graph.node(edge.source).position[:2].tolist())
                 width, is_open = float(edge.value or 0.0), bool(edge.attributes.get("open", True))
                 self._known[edge.source] = Passage(edge.source, (rooms[0], rooms[1]), (x, y), width, is_open)
         numbers = [int(by.removeprefix("passage_")) for by in self._known if by.startswith("passage_")]
@@ -133,15 +136,14 @@ def _openings(storey: Storey, moved: set[str], occupancy: OccupancyMap) -> list[
     low, high = np.maximum(where.min(axis=0) - 4, 0), where.max(axis=0) + 5
     rooms = rooms[low[0] : high[0], low[1] : high[1]]
     borders = [_borders(rooms, numbers, axis, apart) for axis in (0, 1) for apart in (1, 2, 3)]
-    at, along, pair = (np.concatenate(parts) for parts in zip(*borders, strict=True))
+    at, pair = (np.concatenate(parts) for parts in zip(*borders, strict=True))
     if not len(at):
         return []
     xy = (at + low + storey.ground.low + 0.5) * CELL_M
-    steps = np.linspace(-THROUGH_M, THROUGH_M, 13)
-    ground = xy[:, None] + steps[None, :, None] * along[:, None]
-    points = [np.concatenate([ground, np.full((*ground.shape[:2], 1), storey.floor_z + z)], axis=2) for z in HEIGHTS_M]
-    space = occupancy.classify(np.stack(points, axis=1).reshape(-1, 3)).reshape(len(at), -1)
-    is_open, is_shut = (space == FREE).all(axis=1), (space == OCCUPIED).any(axis=1)
+    space = _classify(xy, storey, occupancy).reshape(len(at), -1)
+    is_shut = (space == OCCUPIED).any(axis=1)
+    is_open = (space == FREE).all(axis=1)
+    is_open[is_open] = _leads_through(xy[is_open], pair[is_open], storey, occupancy)
     cells = np.floor(at).astype(np.int64)
     found = []
     for a, b in np.unique(pair[is_open], axis=0).tolist():
@@ -161,10 +163,29 @@ def _openings(storey: Storey, moved: set[str], occupancy: OccupancyMap) -> list[
     return found
 
 
-def _borders(rooms: Array, numbers: Array, axis: int, apart: int) -> tuple[Array, Array, Array]:
+def _classify(xy: Array, storey: Storey, occupancy: OccupancyMap) -> Array:
+    """What the space over points (N, 2) is, at each of HEIGHTS_M: (N, 3)."""
+    points = np.concatenate([np.column_stack([xy, np.full(len(xy), storey.floor_z + z)]) for z in HEIGHTS_M])
+    return occupancy.classify(points).reshape(len(HEIGHTS_M), len(xy)).T
+
+
+def _leads_through(xy: Array, pair: Array, storey: Storey, occupancy: OccupancyMap) -> Array:
+    """(N,) bool: whether a free straight way over points (N, 2) leads from one room of the pair (N, 2) to the other."""
+    steps = np.linspace(-THROUGH_M, THROUGH_M, 13)
+    through = np.zeros(len(xy), bool)
+    for direction in DIRECTIONS:
+        ends = [storey.ground.at(xy + reach * direction) for reach in (-THROUGH_M, THROUGH_M)]
+        todo = np.flatnonzero(~through & (np.sort(np.stack(ends, axis=1), axis=1) == pair).all(axis=1))
+        ways = xy[todo, None] + steps[:, None] * direction
+        free = _classify(ways.reshape(-1, 2), storey, occupancy) == FREE
+        through[todo] = free.reshape(len(todo), len(steps) * len(HEIGHTS_M)).all(axis=1)
+    return through
+
+
+def _borders(rooms: Array, numbers: Array, axis: int, apart: int) -> tuple[Array, Array]:
     """Where two rooms meet along an axis, `apart` cells from each other with no room between.
 
-    Returns the middles (N, 2) in cells, the direction across (N, 2), and the room numbers (N, 2), the smaller first.
+    Returns the middles (N, 2) in cells, and the room numbers (N, 2), the smaller first.
     """
     a = rooms if axis == 0 else rooms.T
     first, second = a[:-apart], a[apart:]
@@ -173,9 +194,8 @@ def _borders(rooms: Array, numbers: Array, axis: int, apart: int) -> tuple[Array
         meet &= a[step : len(a) - apart + step] == 0
     i, j = np.nonzero(meet)
     at = np.stack([i + 0.5 * apart, j.astype(np.float64)], axis=1)
-    across = np.tile([1.0, 0.0], (len(at), 1))
     pair = np.sort(np.stack([first[i, j], second[i, j]], axis=1), axis=1)
-    return (at, across, pair) if axis == 0 else (at[:, ::-1], across[:, ::-1], pair)
+    return (at, pair) if axis == 0 else (at[:, ::-1], pair)
 
 
 def _shut(doors: Mapping[str, Shape], storey: Storey, moved: set[str]) -> list[Passage]:
@@ -183,10 +203,13 @@ def _shut(doors: Mapping[str, Shape], storey: Storey, moved: set[str]) -> list[P
     found = []
     for door, shape in sorted(doors.items()):
         x, y, length, _, yaw = shape.rectangle
-        across = SIDE_M * np.array([-np.sin(yaw), np.cos(yaw)])
-        sides = storey.ground.at(np.array([x, y]) + np.stack([across, -across]))
-        rooms = sorted({f"room_{n}" for n in sides.tolist() if n})
-        if len(rooms) == 2 and moved.intersection(rooms):
+        across = np.array([-np.sin(yaw), np.cos(yaw)])
+        pairs = {
+            tuple(sorted(storey.ground.at(np.array([x, y]) + side * np.stack([across, -across])).tolist()))
+            for side in SIDES_M
+        }
+        rooms = sorted(f"room_{n}" for n in next(iter(pairs)) if n)
+        if len(pairs) == 1 and len(set(rooms)) == 2 and moved.intersection(rooms):
             found.append(Passage(door, (rooms[0], rooms[1]), (round(x, 3), round(y, 3)), round(length, 2), False))
     return found
 
@@ -227,7 +250,7 @@ def _write(
                 target=room,
                 value=passage.width_m,
                 threshold=LEAST_WIDTH_M,
-                attributes={"open": passage.is_open},
+                attributes={"open": passage.is_open, "width_m": passage.width_m, "at": list(passage.at)},
                 **times,
             )
         )

@@ -18,7 +18,9 @@ from mapping.observations import ClassInfo, RgbdImage
 from scenegraph import evaluation
 from scenegraph.console import Printer
 from scenegraph.evaluation import Evaluation, PanopticTally, SemanticTally, ViewLog, evaluate
+from scenegraph.evaluation.doors import judge_doors
 from scenegraph.evaluation.semantics import judge_voxels
+from scenegraph.graph import Edge, GraphChanges, Node, SceneGraph
 from scenegraph.simulation import NoiseModel, TruthRecorder
 from tests.support.corners import kitchen_corner
 from tests.support.homes import home
@@ -461,3 +463,44 @@ def test_noise_that_does_not_exist_is_refused_before_anything_is_mapped():
 def test_an_evaluation_of_nothing_has_no_figures():
     assert Evaluation().figures() == {}
     assert Evaluation().as_json()["semantics.accuracy_by_views"] == []
+
+
+# -- doors -----------------------------------------------------------------------------------------------------------
+
+
+def test_doors_count_where_a_node_leads_from_the_right_room_to_the_right_room():
+    times = {"first_seen_ns": 0, "last_seen_ns": 0}
+    true = [
+        SimpleNamespace(id=f"door_{n}", kind="ajar", rooms=rooms, center=np.array([float(n), 0.0, 1.0]))
+        for n, rooms in enumerate([("a", "b"), ("b", "c"), ("c", "a"), ("a",)])
+    ]
+    graph, changes = SceneGraph(), GraphChanges()
+    for room in "abc":
+        changes.put(Node(id=f"room_{room}", layer="room", label="room", position=(0, 0, 0), **times))
+    for by, at, rooms in (
+        ("leaf", (0.4, 0.2), "ba"),  # right, though the leaf itself stands elsewhere
+        ("near_the_wrong", (1.1, 0.0), "ac"),
+        ("far", (2.0, 0.7), "ac"),
+        ("nowhere", (3.0, 0.0), "a"),  # leads into one room: not judged
+    ):
+        changes.put(Node(id=by, layer="structure", label="door", position=(9, 9, 1), **times))
+        for room in rooms:
+            changes.put(
+                Edge(relation="connects", source=by, target=f"room_{room}", attributes={"at": list(at)}, **times)
+            )
+    graph.commit(changes, 0)
+    result = Evaluation()
+    judge_doors(
+        SimpleNamespace(graph=graph),
+        SimpleNamespace(seed=1, doors=true),
+        {f"room_{room}": room for room in "abc"},
+        result,
+    )
+    doors = result.tallies["doors"]
+    assert (doors.right, doors.said, doors.true) == (1, 3, 3)
+    assert sorted(result.notes) == [
+        "1: far is no way between a and c",
+        "1: missed ajar door_1 of ('b', 'c')",
+        "1: missed ajar door_2 of ('c', 'a')",
+        "1: near_the_wrong is no way between a and c",
+    ]

@@ -21,20 +21,28 @@ if TYPE_CHECKING:
 WALL_X = 3.0
 
 
-def two_rooms(gap: tuple[float, float] | None) -> tuple[Storey, OccupancyMap, SceneGraph]:
-    """Rooms 1 and 2, 3 m × 3 m, on either side of a wall at x = 3 that is open between two y."""
+def two_rooms(
+    gap: tuple[float, float] | None, *, yaw: float = 0.0, hidden: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Storey, OccupancyMap, SceneGraph]:
+    """Rooms 1 and 2, 3 m × 3 m, on either side of a wall at x = 3 that is open between two y, turned about the origin.
+
+    hidden : between these y nothing was seen in the wall
+    """
     ground = GroundGrid(CELL_M)
-    ground.cover(np.array([0, 0]), np.array([59, 29]))
-    i, j = np.indices(ground.room.shape) + ground.low[:, None, None]
-    inside = (i >= 0) & (i < 60) & (j >= 0) & (j < 30)
-    ground.room[:] = np.where(inside, np.where(i < 30, 1, 2), 0)
+    ground.cover(np.array([-60, -60]), np.array([79, 79]))
+    x, y = unturned((np.indices(ground.room.shape) + ground.low[:, None, None] + 0.5) * CELL_M, yaw)
+    inside = (x >= 0) & (x < 6) & (y >= 0) & (y < 3)
+    ground.room[:] = np.where(inside, np.where(x < WALL_X, 1, 2), 0)
     occupancy = OccupancyMap(voxel_size_m=0.05)
-    x, y, z = np.meshgrid(*(np.arange(0.025, end, 0.05) for end in (6.0, 3.0, 2.0)), indexing="ij")
+    centres = np.stack(np.meshgrid(*(np.arange(a, b, 0.05) for a, b in ((-5.975, 8), (-5.975, 8), (0.025, 2)))), -1)
+    centres = centres.reshape(-1, 3)
+    x, y = unturned(centres[:, :2].T, yaw)
+    seen = (x > 0) & (x < 6) & (y > 0) & (y < 3)
     wall = np.abs(x - WALL_X) < 0.06
+    seen &= ~(wall & (y > hidden[0]) & (y < hidden[1]))
     if gap is not None:
         wall &= (y < gap[0]) | (y > gap[1])
-    centres = np.stack([x, y, z], axis=-1).reshape(-1, 3)
-    occupancy.assign(centres, np.where(wall, 20, -20).ravel())
+    occupancy.assign(centres[seen], np.where(wall, 20, -20)[seen])
     graph = SceneGraph()
     changes = GraphChanges()
     for n in (1, 2):
@@ -45,12 +53,18 @@ def two_rooms(gap: tuple[float, float] | None) -> tuple[Storey, OccupancyMap, Sc
     return Storey(1, 0.0, ground), occupancy, graph
 
 
+def unturned(xy: np.ndarray, yaw: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points (2, …) in the frame of a building that is turned by yaw."""
+    (x, y), c, s = xy, np.cos(yaw), np.sin(yaw)
+    return c * x + s * y, c * y - s * x
+
+
 def passages_of(
-    gap: tuple[float, float] | None, doors: dict[str, Shape] | None = None
+    gap: tuple[float, float] | None, doors: dict[str, Shape] | None = None, **how: object
 ) -> tuple[SceneGraph, Callable[[tuple[float, float] | None], None]]:
     """The graph with the passages, and a function that builds the wall anew and looks again."""
     passages = Passages()
-    storey, occupancy, graph = two_rooms(gap)
+    storey, occupancy, graph = two_rooms(gap, **how)  # type: ignore[arg-type]
     add = GraphChanges()
     for door in doors or {}:
         add.put(Node(id=door, layer="structure", label="door", position=(3, 1, 1), first_seen_ns=0, last_seen_ns=0))
@@ -116,6 +130,29 @@ def test_a_shut_door_connects_its_rooms_and_says_so() -> None:
     graph, _ = passages_of(None, {"opening_7": door_at(1.4)})
     assert joined(graph) == {"opening_7": {"room_1", "room_2"}}
     assert not any(e.attributes["open"] for e in graph.edges("connects"))
+
+
+def test_a_leaf_that_stands_open_before_a_whole_wall_is_no_shut_door() -> None:
+    beside = door_at(1.4).points + np.array([0.28, 0.0, 0.0], np.float32)
+    graph, _ = passages_of(None, {"opening_7": Shape(beside, 0.025)})
+    assert not joined(graph)
+
+
+def test_what_was_not_seen_of_an_opening_does_not_part_it() -> None:
+    graph, _ = passages_of((0.4, 2.6), hidden=(1.3, 1.6))
+    assert joined(graph) == {"passage_1": {"room_1", "room_2"}}
+    assert graph.node("passage_1").attributes["width_m"] == pytest.approx(2.2, abs=0.11)
+
+
+@pytest.mark.parametrize("degrees", [0, 13, 30, 45, 60, 77])
+def test_a_doorway_is_found_in_a_wall_that_lies_askew_in_the_grid(degrees: float) -> None:
+    graph, _ = passages_of((1.0, 1.9), yaw=np.radians(degrees))
+    assert joined(graph) == {"passage_1": {"room_1", "room_2"}}
+    assert graph.node("passage_1").attributes["width_m"] == pytest.approx(0.9, abs=0.2)
+    for edge in graph.edges("connects"):
+        turn = np.array([[np.cos(np.radians(degrees)), -np.sin(np.radians(degrees))],
+                         [np.sin(np.radians(degrees)), np.cos(np.radians(degrees))]])  # fmt: skip
+        assert np.allclose(edge.attributes["at"], turn @ (WALL_X, 1.45), atol=0.15)
 
 
 def test_a_passage_keeps_its_id_and_goes_when_it_is_walled_up() -> None:
