@@ -35,7 +35,7 @@ FACTS: Final[dict[tuple[str, int], int]] = {
 }
 
 #: Measurements that are the same in both directions: kept once, with the smaller id first.
-SYMMETRIC: Final = frozenset({"gap", "path_gap_upper", "path_gap_lower", "footprint_overlap"})
+SYMMETRIC: Final = frozenset({"gap", "path_gap_upper", "path_gap_lower", "footprint_overlap", "things_between"})
 
 _IDS: Final[dict[tuple[str, int], tuple[int, ...]]] = {
     **{key: (0,) for key in FACTS if key[0] in {"node", "label", "name", "position", "size", "yaw", "confidence"}},

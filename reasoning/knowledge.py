@@ -247,7 +247,7 @@ class KnowledgeBase:
     def derived_edges(self, ids: Iterable[str]) -> tuple[list[str], list[DerivedEdge]]:
         """Every edge that the rules now derive at `ids` and at what stands on them.
 
-        Returns the ids that were looked at (sorted) and all derived edges, in both directions, that begin or end there:
+        Returns the ids that were looked at (sorted) and all derived edges, in both directions where both have a name, that begin or end there:
         stored derived edges at these ids that are not among them no longer hold.
         """
         things: list[Any] = [Atom(node) for node in ids]
@@ -257,7 +257,8 @@ class KnowledgeBase:
         for pair in cast(list[Any], answer["Pairs"]):
             relation, inverse, a, b, value, threshold, confidence = pair.args
             edges.append(DerivedEdge(relation.name, a.name, b.name, value, threshold, confidence))
-            edges.append(DerivedEdge(inverse.name, b.name, a.name, value, threshold, confidence))
+            if inverse.name != "none":
+                edges.append(DerivedEdge(inverse.name, b.name, a.name, value, threshold, confidence))
         return [atom.name for atom in cast(list[Atom], answer["Ids"])], edges
 
     def vocabulary(self) -> dict[str, str]:

@@ -9,6 +9,7 @@
 :- use_module(spatial).
 :- use_module(rooms).
 :- use_module(viewpoint).
+:- use_module(ways).
 :- use_module(vocabulary).
 :- use_module(readings).
 
@@ -195,8 +196,13 @@ reason(Call, true, [], [node(Id, Layer)]) :-
 reason(gap(A, B, _), true, [], [measured(gap, A, B, Value)]) :-
     mutual(gap, A, B, Value),
     !.
-reason(next_to(A, B), Truth, Tests, Evidence) :-
-    reason(near(A, B), Truth, Tests, Evidence),
+reason(between(A, B, C), true, [test(share_between, Share, >=, between_share, Enough)], Evidence) :-
+    lies_between(A, B, C, Share),
+    !,
+    between_share(Enough),
+    findall(position(Id, X, Y, Z), ( member(Id, [A, B, C]), position(Id, X, Y, Z) ), Evidence).
+reason(leads_to(A, B), true, [], Evidence) :-
+    way(A, B, Evidence),
     !.
 reason(Call, true, [], [Call]) :-
     predicate_property(facts:Call, dynamic),
@@ -214,7 +220,7 @@ spatial_call(Call, Relation, A, B) :-
     Call =.. [Word, X, Y],
     (   inverse(Relation, Word)
     ->  A = Y, B = X
-    ;   ( symmetric(Word) -> true ; inverse(Word, _) )
+    ;   ( symmetric(Word) ; one_way(Word) ; on_demand(Word) ; inverse(Word, _) )
     ->  Relation = Word, A = X, B = Y
     ).
 
@@ -243,7 +249,8 @@ class_evidence(Id, Class, node(Id, Class)) :- node(Id, Class).
 
 with_unit(test(Name, Value, Comparison, Threshold, Limit), test(Name, Value, Comparison, Threshold, Limit, Unit)) :-
     ( threshold(Threshold, _, Unit0, _) -> Unit = Unit0
-    ; memberchk(Threshold, [near_distance, contact_gap, reach]) -> Unit = metre
+    ; Threshold == between_share -> Unit = share
+    ; memberchk(Threshold, [near_distance, contact_gap, reach, robot_width, no_way]) -> Unit = metre
     ; Unit = none
     ).
 

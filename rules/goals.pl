@@ -177,6 +177,9 @@ check(_:_, _) :- !,
     throw(problem(forbidden, "a goal may not name a module", "")).
 check(name(Id, Name), Goal) :- !,
     check(named(Id, Name), Goal).
+check(between(Low, High, X), plain(between(Low, High, X))) :-   % whole numbers, not things
+    ( number(Low) ; number(High) ; High == inf ),
+    !.
 check(Term, literal(Call, Hidden, Visible)) :-
     callable(Term),
     functor(Term, Name, Arity),

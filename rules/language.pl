@@ -177,6 +177,11 @@ which_is --> [which, is], !.
 which_is --> [which, are], !.
 which_is --> [].
 
+attached(Thing, ((GoalA, GoalB), between(Thing, A, B))) -->
+    [between], !,
+    noun_phrase(A, GoalA),
+    [and],
+    noun_phrase(B, GoalB).
 attached(Thing, (Goal, Literal)) -->
     preposition(Relation),
     noun_phrase(Other, Goal),
@@ -193,6 +198,11 @@ preposition(above) --> ( [above] ; [over] ).
 preposition(behind) --> [behind].
 preposition(near) --> ( [near, to] ; [near] ; [close, to] ; [by] ; [at] ; [around] ).
 preposition(touching) --> [touching].
+preposition(attached_to) --> ( [attached, to] ; [fixed, to] ; [mounted, on] ).
+preposition(hanging_from) --> ( [hanging, from] ; [hanging, off] ).
+preposition(part_of) --> ( [part, of] ; [a, part, of] ).
+preposition(visible_from) --> [visible, from].
+preposition(blocks) --> [blocking].
 
                 /*******************************
                 *           OUTPUT             *
@@ -262,4 +272,5 @@ function_word(Word) :- article(Word).
 function_word(Word) :-
     memberchk(Word, [ where, is, are, go, to, find, show, bring, me, what, which, and, between, in, front, of, left,
                       right, next, beside, on, top, upon, inside, within, into, under, below, beneath, underneath,
-                      above, over, behind, near, close, by, at, around, touching ]).
+                      above, over, behind, near, close, by, at, around, touching, attached, fixed,
+                      mounted, hanging, from, off, part, visible, blocking ]).

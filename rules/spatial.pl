@@ -4,10 +4,13 @@
             possibly_holds/3,           % +Relation, ?A, ?B
             inverse/2,                  % ?Relation, ?Inverse
             symmetric/1,                % ?Relation
+            one_way/1,                  % ?Relation
+            on_demand/1,                % ?Relation
             room_of/3,                  % +Thing, -Room, -Tests
             stands_on/2,                % +Thing, -Support
             near_distance/3,            % +A, +B, -Metres
             contact_gap/1,              % -Metres
+            robot_width/2,              % +Robot, -Metres
             derived_edge/6,             % ?Relation, ?A, ?B, -Value, -Threshold, -Confidence
             derived_edges_of/2,         % +Ids, -Edges
             affected_by/2,              % +Ids, -Affected
@@ -18,6 +21,7 @@
 :- use_module(library(lists)).
 :- use_module(library(error)).
 :- use_module(facts).
+:- use_module(taxonomy, [part_kind/2, subclass/2]).
 
 /** <module> Spatial relations, derived from measurements
 
@@ -25,8 +29,10 @@ Python measures, these rules decide. Each relation has one definition, in
 judged/5: the tests that its measurements must pass, in three truth values. What
 holds, what may hold, the stored edges, and every explanation come from there.
 
-The canonical relations are `on`, `in`, `above`, `near` and `touching`; the
-others are their inverses.
+The canonical relations with an inverse are `on`, `in` and `above`; `near`,
+`next_to` and `touching` are symmetric; `attached_to`, `hanging_from` and
+`part_of` go one way. `visible_from`, `reachable` and `blocks` are measured when
+somebody asks, and never stored.
 
 Example: a cup 2 mm above a table top, with 90 % of its foot over the table:
 
@@ -42,7 +48,7 @@ Example: a cup 2 mm above a table top, with 90 % of its foot over the table:
 
 :- dynamic
     contact_share/1, contact_margin/1, overlap_share/1, footing_inside_share/1, voxels_inside_share/1,
-    room_share/1, own_room_share/1, near_least/1, near_most/1.
+    room_share/1, own_room_share/1, near_least/1, near_most/1, side_share/1, visible_share/1.
 
 contact_share(0.2).
 contact_margin(0.03).
@@ -53,6 +59,8 @@ room_share(0.5).
 own_room_share(0.8).
 near_least(0.5).
 near_most(1.5).
+side_share(0.2).
+visible_share(0.05).
 
 %!  threshold(?Name, -Value, ?Unit, ?Reason) is nondet.
 %
@@ -81,6 +89,10 @@ threshold_reason(near_least, metre,
     "small things: within arm's reach of each other").
 threshold_reason(near_most, metre,
     "large things: a step and a half away; farther is across the room").
+threshold_reason(side_share, share,
+    "a picture leans on its nail and lower edge, a wall lamp stands off on its arm: a fifth of the side is fixed").
+threshold_reason(visible_share, share,
+    "a twentieth of the surface that could be seen at all shows what a thing is; less is a glimpse between others").
 
 %!  override(+Threshold) is det.
 %
@@ -153,7 +165,25 @@ inverse(above, under).
 %!  symmetric(?Relation) is nondet.
 
 symmetric(near).
+symmetric(next_to).
 symmetric(touching).
+
+%!  one_way(?Relation) is nondet.
+%
+%   Stored as it is: nobody asks for the other direction by a name of its own.
+
+one_way(attached_to).
+one_way(hanging_from).
+one_way(part_of).
+
+%!  on_demand(?Relation) is nondet.
+%
+%   Depends on a robot or a viewer, or costs a look at the map: measured when it
+%   is asked for and never stored.
+
+on_demand(visible_from).
+on_demand(reachable).
+on_demand(blocks).
 
 %!  judged(+Relation, ?A, ?B, -Truth, -Tests) is nondet.
 %
@@ -232,6 +262,141 @@ judged(touching, A, B, Truth, [test(gap, Gap, =<, contact_gap, Enough)]) :-
     mutual(gap, A, B, Gap),
     contact_gap(Enough),
     at_most(Gap, Enough, Truth).
+
+judged(next_to, A, B, Truth, Tests) :-
+    judged(near, A, B, Near, [NearTest|_]),
+    beside(Near, NearTest, A, B, Truth, Tests).
+judged(attached_to, A, B, Truth, [ test(side_contact, Share, >=, side_share, Enough),
+                                   test(footing_contact, Footing, <, contact_share, Firm) ]) :-
+    measured(side_contact, A, B, Share),
+    side_share(Enough),
+    at_least(Share, Enough, Truth1),
+    stands_on_nothing(A, Footing, Firm, Truth2),
+    both(Truth1, Truth2, Truth).
+judged(hanging_from, A, B, Truth, [ test(top_contact, Share, >=, contact_share, Enough),
+                                    test(footing_contact, Footing, <, contact_share, Enough) ]) :-
+    measured(top_contact, A, B, Share),
+    contact_share(Enough),
+    at_least(Share, Enough, Truth1),
+    stands_on_nothing(A, Footing, Enough, Truth2),
+    both(Truth1, Truth2, Truth).
+judged(part_of, A, B, Truth, Tests) :-
+    part_and_whole(A, B),
+    (   judged(in, A, B, true, Tests0)
+    ->  Truth = true,
+        Tests = Tests0
+    ;   judged(touching, A, B, Truth, Tests)
+    ).
+judged(visible_from, A, P, Truth, [test(visible, Seen, >=, visible_share, Enough)|More]) :-
+    measured(visible, A, P, Seen),
+    visible_share(Enough),
+    at_least(Seen, Enough, Clear),
+    (   Clear == true
+    ->  Truth = true,
+        More = []
+    ;   ( measured(possibly_visible, A, P, Open) -> true ; Open = unknown ),
+        More = [test(possibly_visible, Open, >=, visible_share, Enough)],
+        at_least(Open, Enough, Possible),
+        ( Possible == false -> Truth = false ; Truth = unknown )
+    ).
+judged(reachable, A, Robot, Truth, [test(way_upper, Upper, <, no_way, Never)|More]) :-
+    measured(way_upper, A, Robot, Upper),
+    no_way(Never),
+    less_than(Upper, Never, Known),
+    (   Known == true
+    ->  Truth = true,
+        More = []
+    ;   ( measured(way_lower, A, Robot, Lower) -> true ; Lower = unknown ),
+        More = [test(way_lower, Lower, <, no_way, Never)],
+        less_than(Lower, Never, Possible),
+        ( Possible == false -> Truth = false ; Truth = unknown )
+    ).
+judged(blocks, A, Door, Truth, [test(clear_width, Width, <, robot_width, Needed)]) :-
+    measured(clear_width, A, Door, Width),
+    robot_width(_, Needed),
+    less_than(Width, Needed, Truth).
+
+%   beside(+Near, +NearTest, +A, +B, -Truth, -Tests): two things that are near, are they next to each other?
+beside(false, NearTest, _, _, false, [NearTest]) :- !.
+beside(Near, NearTest, A, B, Truth, Tests) :-
+    shared_support(A, B, Support, Same),
+    (   Same == false
+    ->  Truth = false,
+        Tests = [NearTest, test(same_support, none, =, nothing, shared)]
+    ;   Tests = [NearTest, test(same_support, Support, =, nothing, Support), test(things_between, Between, =<, nothing, 0)],
+        ( mutual(things_between, A, B, Between0) -> Between = Between0 ; Between = 0 ),
+        at_most(Between, 0, Free),
+        both(Near, Same, Truth1),
+        both(Truth1, Free, Truth)
+    ).
+
+%   shared_support(+A, +B, -Support, -Truth): what carries both; unknown where a contact is.
+shared_support(A, B, Support, true) :-
+    judged(on, A, Support, true, _),
+    judged(on, B, Support, true, _),
+    !.
+shared_support(A, B, Support, unknown) :-
+    judged(on, A, Support, TruthA, _),
+    TruthA \== false,
+    judged(on, B, Support, TruthB, _),
+    TruthB \== false,
+    !.
+shared_support(_, _, none, false).
+
+%   stands_on_nothing(+A, -Share, -Enough, -Truth): no footing contact; Share is the largest.
+stands_on_nothing(A, Footing, Enough, Truth) :-
+    contact_share(Enough),
+    findall(Share, measured(contact, A, _, Share), Shares),
+    (   memberchk(unknown, Shares)
+    ->  Footing = unknown
+    ;   max_list([0|Shares], Footing)
+    ),
+    less_than(Footing, Enough, Truth).
+
+%   part_and_whole(?A, ?B): the taxonomy says that a thing like A is part of a thing like B, and they are close.
+part_and_whole(A, B) :-
+    nonvar(A),
+    !,
+    label(A, Part),
+    \+ \+ part_of_kind(Part, _),
+    mutual(gap, A, B, _),
+    label(B, Whole),
+    \+ \+ ( part_of_kind(Part, Kind), subclass(Whole, Kind) ).
+part_and_whole(A, B) :-
+    (   nonvar(B)
+    ->  label(B, Whole),
+        setof(P, Kind^( subclass(Whole, Kind), part_kind(P, Kind) ), Parts)
+    ;   setof(P, Kind^part_kind(P, Kind), Parts)
+    ),
+    setof(Thing, P^L^( member(P, Parts), subclass(L, P), label(Thing, L) ), Things),
+    member(A, Things),
+    part_and_whole(A, B).
+
+part_of_kind(Label, Kind) :-
+    subclass(Label, Part),
+    part_kind(Part, Kind).
+
+%!  robot_width(+Robot, -Metres) is det.
+%
+%   How wide an opening the robot needs; with an unknown robot, the one in
+%   question: the only one that described itself, else the default of the map.
+
+robot_width(Robot, Width) :-
+    nonvar(Robot),
+    attribute(Robot, width_m, Width),
+    number(Width),
+    !.
+robot_width(Robot, Width) :-
+    var(Robot),
+    findall(W, ( node(Id, agent), attribute(Id, width_m, W) ), [Width]),
+    !.
+robot_width(_, Width) :-
+    parameter(robot_width_m, Width),
+    !.
+robot_width(_, 0.5).
+
+%   A way this long is none.
+no_way(1.0e9).
 
 %   Structure lies below everything, and rests on nothing.
 structure_below(A, _, Truth) :-
@@ -399,6 +564,10 @@ at_most(unknown, _, Truth) :- !, Truth = unknown.
 at_most(Value, Threshold, Truth) :- Value =< Threshold, !, Truth = true.
 at_most(_, _, false).
 
+less_than(unknown, _, Truth) :- !, Truth = unknown.
+less_than(Value, Threshold, Truth) :- Value < Threshold, !, Truth = true.
+less_than(_, _, false).
+
 more_than(unknown, _, Truth) :- !, Truth = unknown.
 more_than(Value, Threshold, Truth) :- Value > Threshold, !, Truth = true.
 more_than(_, _, false).
@@ -429,6 +598,7 @@ derived_edge(Relation, A, B, Value, Threshold, Confidence) :-
     canonical_edge(Canonical, X, Y, Value, Threshold, Confidence).
 derived_edge(Relation, A, B, Value, Threshold, Confidence) :-
     (   symmetric(Relation)
+    ;   one_way(Relation)
     ;   inverse(Relation, _)
     ;   inverse(_, Relation)
     ),
@@ -453,6 +623,8 @@ margin(>=, Value, Threshold, Margin) :-
     number(Value), Threshold < 1, Margin is (Value-Threshold)/(1-Threshold).
 margin(=<, Value, Threshold, Margin) :-
     number(Value), Threshold > 0, Margin is 3*(Threshold-Value)/Threshold.
+margin(<, Value, Threshold, Margin) :-
+    number(Value), Threshold > 0, Margin is (Threshold-Value)/Threshold.
 margin(>, Value, Threshold, Margin) :-
     number(Value), Threshold > 0, Margin is (Value-Threshold)/Threshold.
 
@@ -476,9 +648,11 @@ derived_edges_of(Ids, Edges) :-
     sort(Edges0, Edges).
 
 either_direction(pair(Relation, _, A, B, V, T, C), edge(Relation, A, B, V, T, C)).
-either_direction(pair(_, Inverse, A, B, V, T, C), edge(Inverse, B, A, V, T, C)).
+either_direction(pair(_, Inverse, A, B, V, T, C), edge(Inverse, B, A, V, T, C)) :-
+    Inverse \== none.
 
-%   canonical_edges_of(+Ids, -Pairs): each pair once, as pair(Relation, Inverse, A, B, Value, Threshold, Confidence).
+%   canonical_edges_of(+Ids, -Pairs): each pair once, as pair(Relation, Inverse, A, B, Value, Threshold, Confidence);
+%   Inverse is none for a relation that goes one way.
 canonical_edges_of(Ids, Pairs) :-
     findall(Pair, ( member(Id, Ids), pair_at(Id, Pair) ), Pairs0),
     sort(Pairs0, Pairs).
@@ -493,6 +667,12 @@ pair_at(Id, pair(Relation, Relation, A, B, Value, Threshold, Confidence)) :-
     symmetric(Relation),
     canonical_edge(Relation, Id, Other, Value, Threshold, Confidence),
     ( Id @< Other -> A = Id, B = Other ; A = Other, B = Id ).
+pair_at(Id, pair(Relation, none, Id, B, Value, Threshold, Confidence)) :-
+    one_way(Relation),
+    canonical_edge(Relation, Id, B, Value, Threshold, Confidence).
+pair_at(Id, pair(Relation, none, A, Id, Value, Threshold, Confidence)) :-
+    one_way(Relation),
+    canonical_edge(Relation, A, Id, Value, Threshold, Confidence).
 
 %!  affected_by(+Ids:list, -Affected:list) is det.
 %

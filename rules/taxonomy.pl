@@ -3,7 +3,8 @@
             subclass/2,                 % ?Class, ?Super
             class/1,                    % ?Class
             labelled/2,                 % ?Id, ?Class
-            container/1                 % ?Class
+            container/1,                % ?Class
+            part_kind/2                 % ?Part, ?Whole
           ]).
 :- use_module(facts).
 
@@ -233,3 +234,21 @@ holds_things(kettle).       holds_things(sink).         holds_things(bathtub).
 holds_things(oven).         holds_things(fridge).       holds_things(freezer).
 holds_things(dishwasher).   holds_things(microwave).    holds_things(washing_machine).
 holds_things(dryer).        holds_things(toaster).
+
+%!  part_kind(?Part, ?Whole) is nondet.
+%
+%   Things of class Part are built into things of class Whole, or a class below
+%   it: they are part of the one that they touch.
+
+part_kind(handle, door).            part_kind(handle, window).          part_kind(handle, storage).
+part_kind(handle, appliance).       part_kind(door_frame, door).        part_kind(window_frame, window).
+part_kind(window_sill, window).     part_kind(drawer, storage).         part_kind(drawer, surface).
+part_kind(shelf_board, shelf).      part_kind(cabinet_door, storage).   part_kind(burner, stove).
+part_kind(burner, oven).            part_kind(hob, oven).               part_kind(hob, counter).
+part_kind(tap, sink).               part_kind(tap, bathtub).            part_kind(faucet, sink).
+part_kind(faucet, bathtub).         part_kind(cistern, toilet).
+part_kind(toilet_seat, toilet).     part_kind(shower_head, shower).     part_kind(mattress, bed).
+part_kind(headboard, bed).          part_kind(backrest, seat).          part_kind(armrest, seat).
+part_kind(leg, furniture).          part_kind(lampshade, lamp).         part_kind(lid, receptacle).
+part_kind(lid, cookware).           part_kind(wheel, bicycle).
+part_kind(socket, wall).            part_kind(light_switch, wall).

@@ -3,7 +3,8 @@
             viewer/1,                   % -Viewer
             set_viewer/1,               % +Viewer
             distance/3,                 % ?A, ?B, -Metres
-            between_them/3              % +A, +B, ?Thing
+            lies_between/4,             % ?A, ?B, ?C, -Share
+            between_share/1             % -Share
           ]).
 :- use_module(library(lists)).
 :- use_module(facts).
@@ -111,44 +112,130 @@ distance(A, B, Metres) :-
     A \== B,
     Metres is sqrt((XA-XB)**2+(YA-YB)**2+(ZA-ZB)**2).
 
-%!  between_them(+A, +B, ?Thing) is nondet.
+%!  between_share(-Share) is det.
 %
-%   Thing's oriented box is crossed by the segment between the centres of A and
-%   B; Thing is neither of them nor what they stand on, and near both.
+%   What lies between two things has at least half of its footprint there.
 
-between_them(A, B, Thing) :-
-    position(A, XA, YA, ZA),
-    position(B, XB, YB, ZB),
-    possibly_holds(near, A, Thing),
-    Thing \== B,
-    possibly_holds(near, B, Thing),
-    position(Thing, X, Y, Z),
-    size(Thing, SX, SY, SZ),
-    Low is Z-SZ/2,
-    High is Z+SZ/2,
-    ( ZA >= Low, ZA =< High -> true ; ZB >= Low, ZB =< High ),
+between_share(0.5).
+
+%!  lies_between(?A, ?B, ?C, -Share) is nondet.
+%
+%   Share, at least between_share/1, of A's footprint lies inside the hull of
+%   B's and C's and outside both. Footprints are those of the oriented boxes.
+
+lies_between(A, B, C, Share) :-
+    footprint(B, PolygonB),
+    footprint(C, PolygonC),
+    B \== C,
+    append(PolygonB, PolygonC, Corners),
+    convex_hull(Corners, Hull),
+    between_share(Enough),
+    footprint(A, PolygonA),
+    A \== B,
+    A \== C,
+    area(PolygonA, Whole),
+    Whole > 0,
+    common_area(PolygonA, Hull, Inside),
+    Inside >= Enough*Whole,
+    clipped(PolygonA, PolygonB, InB),
+    area(InB, AreaB),
+    common_area(PolygonA, PolygonC, AreaC),
+    common_area(InB, PolygonC, AreaBoth),
+    Share is (Inside-AreaB-AreaC+AreaBoth)/Whole,
+    Share >= Enough.
+
+%   footprint(?Thing, -Corners): of the oriented box, counterclockwise, as X-Y.
+footprint(Thing, [A, B, C, D]) :-
+    size(Thing, SX, SY, _),
+    node(Thing, Layer),
+    memberchk(Layer, [object, structure, agent]),
+    position(Thing, X, Y, _),
     ( yaw(Thing, Yaw) -> true ; Yaw = 0 ),
-    Cos is cos(Yaw),
-    Sin is sin(Yaw),
-    into(XA, YA, X, Y, Cos, Sin, UA, VA),
-    into(XB, YB, X, Y, Cos, Sin, UB, VB),
-    HX is SX/2,
-    HY is SY/2,
-    clip(UA, UB, HX, 0, 1, T0, T1),
-    clip(VA, VB, HY, T0, T1, _, _).
+    UX is cos(Yaw)*SX/2, UY is sin(Yaw)*SX/2,
+    VX is -sin(Yaw)*SY/2, VY is cos(Yaw)*SY/2,
+    corner(X, Y, UX, UY, VX, VY, -1, -1, A),
+    corner(X, Y, UX, UY, VX, VY, 1, -1, B),
+    corner(X, Y, UX, UY, VX, VY, 1, 1, C),
+    corner(X, Y, UX, UY, VX, VY, -1, 1, D).
 
-into(X, Y, X0, Y0, Cos, Sin, U, V) :-
-    U is (X-X0)*Cos+(Y-Y0)*Sin,
-    V is (Y-Y0)*Cos-(X-X0)*Sin.
+corner(X, Y, UX, UY, VX, VY, U, V, CX-CY) :-
+    CX is X+U*UX+V*VX,
+    CY is Y+U*UY+V*VY.
 
-%   clip(+From, +To, +Half, +T0, +T1, -S0, -S1): the part of the segment inside the slab -Half .. Half.
-clip(From, To, Half, T0, T1, T0, T1) :-
-    abs(To-From) < 1.0e-9,
+common_area(A, B, Area) :-
+    clipped(A, B, Common),
+    area(Common, Area).
+
+%   clipped(+Polygon, +Convex, -Common): what of a polygon lies in a convex one, both counterclockwise.
+clipped(Polygon, Convex, Common) :-
+    Convex = [First|_],
+    append(Convex, [First], Closed),
+    clip_at_sides(Closed, Polygon, Common).
+
+clip_at_sides([P, Q|Sides], Polygon, Common) :-
     !,
-    abs(From) =< Half.
-clip(From, To, Half, T0, T1, S0, S1) :-
-    A is (-Half-From)/(To-From),
-    B is (Half-From)/(To-From),
-    S0 is max(T0, min(A, B)),
-    S1 is min(T1, max(A, B)),
-    S0 =< S1.
+    clip_at(Polygon, P, Q, Left),
+    clip_at_sides([Q|Sides], Left, Common).
+clip_at_sides(_, Common, Common).
+
+%   clip_at(+Polygon, +P, +Q, -Left): what lies left of the line from P to Q (Sutherland and Hodgman, 1974).
+clip_at([], _, _, []).
+clip_at(Polygon, P, Q, Left) :-
+    Polygon = [First|_],
+    append(Polygon, [First], Closed),
+    clip_corners(Closed, P, Q, Left).
+
+clip_corners([A, B|Corners], P, Q, Left) :-
+    !,
+    side(P, Q, A, SideA),
+    side(P, Q, B, SideB),
+    (   SideA >= 0
+    ->  Left = [A|Left1]
+    ;   Left = Left1
+    ),
+    (   SideA*SideB < 0
+    ->  A = XA-YA,
+        B = XB-YB,
+        T is SideA/(SideA-SideB),
+        X is XA+T*(XB-XA),
+        Y is YA+T*(YB-YA),
+        Left1 = [X-Y|Left2]
+    ;   Left1 = Left2
+    ),
+    clip_corners([B|Corners], P, Q, Left2).
+clip_corners(_, _, _, []).
+
+side(XP-YP, XQ-YQ, X-Y, Side) :-
+    Side is (XQ-XP)*(Y-YP)-(YQ-YP)*(X-XP).
+
+area(Corners, Area) :-
+    (   Corners = [First|_]
+    ->  append(Corners, [First], Closed),
+        shoelace(Closed, 0, Area)
+    ;   Area = 0
+    ).
+
+shoelace([XA-YA, XB-YB|Corners], Sum, Area) :-
+    !,
+    Next is Sum+(XA*YB-XB*YA)/2,
+    shoelace([XB-YB|Corners], Next, Area).
+shoelace(_, Area, Area).
+
+%   convex_hull(+Corners, -Hull): counterclockwise (Andrew's monotone chain).
+convex_hull(Corners, Hull) :-
+    sort(Corners, Sorted),
+    reverse(Sorted, Backwards),
+    chain(Sorted, [], [_|Lower]),
+    chain(Backwards, [], [_|Upper]),
+    append(Upper, Lower, Clockwise),
+    reverse(Clockwise, Hull).
+
+%   chain(+Corners, +Before, -Chain): the part of the hull that turns left, last corner first.
+chain([], Chain, Chain).
+chain([C|Corners], [B, A|Chain], Hull) :-
+    side(A, B, C, Side),
+    Side =< 0,
+    !,
+    chain([C|Corners], [A|Chain], Hull).
+chain([C|Corners], Chain, Hull) :-
+    chain(Corners, [C|Chain], Hull).

@@ -12,6 +12,7 @@
             in_front_of/2, behind/2, left_of/2, right_of/2,
             in_front_of/3, behind/3, left_of/3, right_of/3,
             connects/2, adjacent/2, leads_to/2, part_of/2, attached_to/2, hanging_from/2,
+            visible_from/2, reachable/2, blocks/2,
             distance/3, gap/3, larger/2
           ]).
 :- use_module(library(lists)).
@@ -21,6 +22,7 @@
 :- use_module(spatial).
 :- use_module(rooms).
 :- use_module(viewpoint).
+:- use_module(ways).
 
 /** <module> The words in which questions are asked
 
@@ -151,6 +153,7 @@ above(A, B) :- holds(above, A, B).
 under(A, B) :- holds(under, A, B).
 near(A, B) :- holds(near, A, B).
 touching(A, B) :- holds(touching, A, B).
+next_to(A, B) :- holds(next_to, A, B).
 
 %   within(?A, ?B): A is in B, or in a room of the storey or building B, or in a storey of the building B.
 within(A, B) :-
@@ -176,12 +179,6 @@ whole_around(Part, Whole) :-
     whole(Next),
     ( Whole = Next ; whole_around(Next, Whole) ).
 
-%!  next_to(?A, ?B) is nondet.
-
-next_to(A, B) :-
-    near(A, B),
-    once(( on(A, Support), on(B, Support) )),
-    \+ between_them(A, B, _).
 
 signature(in_front_of(thing, thing), "before the second, for the viewer; without one, at its own front").
 signature(behind(thing, thing), "behind the second, for the viewer").
@@ -205,47 +202,28 @@ right_of(A, B, V) :- somebody(V), seen_from(right_of, A, B, V, _).
 somebody(V) :- nonvar(V), !.
 somebody(V) :- node(V, agent).
 
+signature(between(thing, thing, thing), "the first lies between the second and the third").
+
+%   Not exported: between/3 of whole numbers stays what it is elsewhere.
+between(A, B, C) :- lies_between(A, B, C, _).
+
 signature(connects(thing, thing), "the door or opening leads into the room").
 signature(adjacent(thing, thing), "the rooms share a door or opening").
-signature(leads_to(thing, thing), "one can go from the first room to the second").
+signature(leads_to(thing, thing), "the robot gets from the first room to the second, through doors that it can open").
 signature(part_of(thing, thing), "the first is a part of the second").
 signature(attached_to(thing, thing), "the first is fixed to the side of the second").
 signature(hanging_from(thing, thing), "the first hangs from the second").
+signature(visible_from(thing, thing), "a line of sight leads from the second, a robot or a place, to the first").
+signature(reachable(thing, thing), "the second, a robot, finds a way to where it can reach the first").
+signature(blocks(thing, thing), "the first stands in the door or opening so that the robot cannot pass").
 
 connects(A, B) :- edge(connects, A, B, _, _, _).
-part_of(A, B) :- edge(part_of, A, B, _, _, _).
-attached_to(A, B) :- edge(attached_to, A, B, _, _, _).
-hanging_from(A, B) :- edge(hanging_from, A, B, _, _, _).
-
-%!  adjacent(?A, ?B) is nondet.
-%
-%   The rooms A and B share a door or opening.
-
-adjacent(A, B) :-
-    edge(adjacent, A, B, _, _, _).
-adjacent(A, B) :-
-    edge(connects, Door, A, _, _, _),
-    edge(connects, Door, B, _, _, _),
-    A \== B,
-    \+ edge(adjacent, A, B, _, _, _).
-
-%!  leads_to(?A, ?B) is nondet.
-%
-%   One can go from room A to another room B, through rooms and doors.
-
-leads_to(A, B) :-
-    room(A),
-    reachable_rooms([A], [A], Rooms),
-    member(B, Rooms),
-    B \== A.
-
-reachable_rooms([], Rooms, Rooms).
-reachable_rooms([Room|Open], Seen, Rooms) :-
-    findall(Next, ( adjacent(Room, Next), \+ memberchk(Next, Seen) ), Next0),
-    sort(Next0, New),
-    append(Seen, New, Seen1),
-    append(Open, New, Open1),
-    reachable_rooms(Open1, Seen1, Rooms).
+part_of(A, B) :- holds(part_of, A, B).
+attached_to(A, B) :- holds(attached_to, A, B).
+hanging_from(A, B) :- holds(hanging_from, A, B).
+visible_from(A, P) :- holds(visible_from, A, P).
+reachable(A, Robot) :- holds(reachable, A, Robot).
+blocks(A, Door) :- holds(blocks, A, Door).
 
 signature(distance(thing, thing, number), "metres between the centres").
 signature(gap(thing, thing, number), "metres between the surfaces").
@@ -308,13 +286,9 @@ possibly(room_type(Id, Class)) :-
         node(Id, room),
         \+ room_type(Id, _)
     ).
-possibly(next_to(A, B)) :-
+possibly(leads_to(A, B)) :-
     !,
-    possibly_holds(near, A, B),
-    (   once(( possibly_holds(on, A, Support), possibly_holds(on, B, Support) ))
-    ->  \+ between_them(A, B, _)
-    ;   unobserved(world)
-    ).
+    possibly_leads_to(A, B).
 possibly(gap(A, B, Gap)) :-
     !,
     mutual(gap, A, B, Value),
@@ -342,8 +316,14 @@ possibly(Goal) :-
 possibly(Goal) :-
     call(Goal).
 
-graded(on).     graded(supports).       graded(in).     graded(contains).
-graded(above).  graded(under).          graded(near).   graded(touching).
+graded(Relation) :-
+    (   symmetric(Relation)
+    ;   one_way(Relation)
+    ;   on_demand(Relation)
+    ;   inverse(Relation, _)
+    ;   inverse(_, Relation)
+    ),
+    !.
 
 %!  unseen(+Goal) is semidet.
 %

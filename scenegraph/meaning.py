@@ -17,7 +17,12 @@ from scenegraph.perception.relations import MeasurementChange
 from scenegraph.perception.structure import rules_labeller
 from scenegraph.statements import Statement
 
-DERIVED = frozenset({"on", "supports", "in", "contains", "above", "under", "near", "touching"})
+DERIVED = frozenset(
+    {
+        "on", "supports", "in", "contains", "above", "under", "near", "touching", "next_to",
+        "attached_to", "hanging_from", "part_of",
+    }
+)  # fmt: skip
 """Relations whose stored edges follow the rules; other stored edges are facts of their own."""
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mapping.kernels import regions as kernels
 from mapping.occupancy import FREE, OccupancyMap
 from mapping.planes import Plane, PlaneMap
+from scenegraph.perception.contacts import Wall
 from scenegraph.perception.neighbours import GroundIndex
 from scenegraph.perception.relations import Passage
 
@@ -30,16 +31,24 @@ CORNER_M = 0.01
 
 
 class Building:
-    """The labelled planes of the structure, indexed over the ground."""
+    """The labelled planes of the structure, indexed over the ground.
 
-    def __init__(self, planes: PlaneMap, occupancy: OccupancyMap) -> None:
+    storey_at: the number of the storey that a height [m] lies in; default: there is one
+    """
+
+    def __init__(
+        self, planes: PlaneMap, occupancy: OccupancyMap, storey_at: Callable[[float], int | None] = lambda _: None
+    ) -> None:
         self._planes = planes
         self._occupancy = occupancy
         self._index = GroundIndex()
         self._floors = GroundIndex()
-        self._floor_boxes: dict[str, tuple[Array, Array, float]] = {}
+        self._ceilings = GroundIndex()
+        self._level_boxes: dict[str, tuple[Array, Array, float]] = {}
         self._walls = GroundIndex()
         self._lines: dict[str, tuple[Array, float, Array, float, float]] = {}
+        self._wall_heights: dict[str, tuple[float, float]] = {}
+        self.storey = storey_at
 
     def update(self, labelled: Iterable[tuple[str, Plane]], gone: Iterable[int]) -> None:
         """Planes that were labelled or changed, and ids of planes that are no more."""
@@ -48,6 +57,7 @@ class Building:
             self._walls.remove(str(plane_id))
             self._lines.pop(str(plane_id), None)
             self._floors.remove(f"plane_{plane_id}")
+            self._ceilings.remove(f"plane_{plane_id}")
         for label, plane in labelled:
             corners = np.concatenate(plane.rings)
             low, high = corners.min(axis=0), corners.max(axis=0)
@@ -69,24 +79,42 @@ class Building:
                     reach.max(),
                 )
                 self._walls.put(str(plane.id), (low, high))
-            self._floors.remove(f"plane_{plane.id}")
-            if label == "floor":
-                self._floors.put(f"plane_{plane.id}", (low, high))
-                self._floor_boxes[f"plane_{plane.id}"] = (low, high, float(plane.centroid[2]))
+                self._wall_heights[str(plane.id)] = float(low[2]), float(high[2])
+            for kind, levels in (("floor", self._floors), ("ceiling", self._ceilings)):
+                levels.remove(f"plane_{plane.id}")
+                if label == kind:
+                    levels.put(f"plane_{plane.id}", (low, high))
+                    self._level_boxes[f"plane_{plane.id}"] = (low, high, float(plane.centroid[2]))
 
     def floor_below(self, x: float, y: float, z: float) -> tuple[str, float] | None:
         """The floor under a point: its node id and height [m]; the nearest in plan where none lies right below."""
+        return self._level(self._floors, x, y, z, -1.0)
+
+    def ceiling_above(self, x: float, y: float, z: float) -> tuple[str, float] | None:
+        """The ceiling over a point: its node id and height [m]; the nearest in plan where none lies right above."""
+        return self._level(self._ceilings, x, y, z, 1.0)
+
+    def _level(self, levels: GroundIndex, x: float, y: float, z: float, up: float) -> tuple[str, float] | None:
         best: tuple[float, str, float] | None = None
         at = np.array([x, y, z])
-        for node in self._floors.within((at, at), FLOOR_REACH_M):
-            low, high, height = self._floor_boxes[node]
-            if height > z + 0.3:
+        for node in levels.within((at, at), FLOOR_REACH_M):
+            low, high, height = self._level_boxes[node]
+            if up * (height - z) < -0.3:
                 continue
             outside = np.maximum(np.maximum(low[:2] - at[:2], at[:2] - high[:2]), 0.0)
-            badness = 10.0 * float(np.hypot(*outside)) + (z - height)
+            badness = 10.0 * float(np.hypot(*outside)) + up * (height - z)
             if best is None or (badness, node) < best[:2]:
                 best = (badness, node, height)
         return None if best is None else best[1:]
+
+    def walls_beside(self, low: Array, high: Array) -> list[Wall]:
+        """The walls whose bounds meet the box from corner `low` to `high` (3,)."""
+        found = []
+        for node in self._walls.within((low, high), 0.0):
+            bottom, top = self._wall_heights[node]
+            if bottom <= high[2] and top >= low[2]:
+                found.append(Wall(f"plane_{node}", *self._lines[node], bottom, top))
+        return found
 
     def between(self, p: Array, q: Array) -> Passage:
         """What stands between two points (3,): nothing, a wall, floor or ceiling, or a part of a wall that was not

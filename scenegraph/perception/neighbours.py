@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from typing import Any, TypeAlias
 
+import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[Any]
@@ -35,6 +36,11 @@ class GroundIndex:
                 self._members[cell].discard(thing)
                 if not self._members[cell]:
                     del self._members[cell]
+
+    def bounds(self, thing: str) -> tuple[Array, Array] | None:
+        """The lowest and highest corner (2,) of a thing on the ground [m]; None when it is not here."""
+        known = self._bounds.get(thing)
+        return None if known is None else (np.array(known[:2]), np.array(known[2:]))
 
     def within(self, bounds: tuple[Array, Array], reach_m: float) -> list[str]:
         """The things whose bounds, seen from above, lie within `reach_m` of the given ones along both axes; sorted."""

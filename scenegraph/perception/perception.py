@@ -48,7 +48,7 @@ class Perception:
         self.objects.inherited = lambda shape: self.clusters.inherit(map_.clusters, shape)
         self.rooms = Rooms()
         self.passages = Passages()
-        self.building = Building(map_.planes, map_.occupancy)
+        self.building = Building(map_.planes, map_.occupancy, self.rooms.storey_number)
         self.relations = Relations(meaning.is_container)
 
     def perceive(self, seen: MapChange, graph: SceneGraph, stamp_ns: int, source: str) -> GraphChanges:

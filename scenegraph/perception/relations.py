@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from mapping.kernels import columns
 from mapping.kernels import shapes as kernels
+from scenegraph.perception.contacts import CONTACT_MARGIN_M, Wall, fixed, hanging, resting, tolerance
+from scenegraph.perception.lines import Lines
 from scenegraph.perception.neighbours import GroundIndex
 from scenegraph.perception.shapes import Shape
 
@@ -24,14 +26,11 @@ Pair: TypeAlias = tuple[str, str]
 
 FAR_M = 1.5
 """Beyond this distance nothing is near anything (`near_most` in the rules)."""
-CONTACT_MARGIN_M = 0.03
-"""Two surfaces this close, and a voxel more, may touch (`contact_margin` in the rules)."""
-SIDE_WINDOW_M = 0.35
-"""How far around a thing the surface below it is looked at, to complete what the thing itself hides."""
-SETTLE_M = 0.25
-"""How far a thing whose bottom was not seen is completed downwards."""
-HIDDEN_SHARE = 0.7
-"""The space under a thing hides its bottom when this share of it was not seen to be free."""
+FIRM_FOOTING = 0.5
+"""What rests on something with this share of its footing neither hangs nor is fixed to a side."""
+CONTACTS = ("contact", "top_contact", "side_contact")
+LEAST_LINE_M = 0.05
+"""Nothing stands between two things that are nearer than this: two voxels."""
 NO_PATH_M = 1.0e9
 MOST_INSIDE = 300
 MOST_MATERIAL = 8000
@@ -46,6 +45,15 @@ class Surroundings(Protocol):
 
     def floor_below(self, x: float, y: float, z: float) -> tuple[str, float] | None:
         """The floor under a point: its node id and height [m]."""
+
+    def ceiling_above(self, x: float, y: float, z: float) -> tuple[str, float] | None:
+        """The ceiling over a point: its node id and height [m]."""
+
+    def walls_beside(self, low: Array, high: Array) -> list[Wall]:
+        """The walls whose bounds meet the box from corner `low` to `high` (3,)."""
+
+    def storey(self, z: float) -> int | None:
+        """The number of the storey that a height lies in; None where no floor is known."""
 
     def between(self, p: Array, q: Array) -> Passage:
         """What stands between two points (3,): nothing, structure (walls, floors, ceilings), or a wall's unseen
@@ -82,6 +90,7 @@ class Relations:
     def __init__(self, is_container: Callable[[str], bool]) -> None:
         self._is_container = is_container
         self._index = GroundIndex()
+        self._lines = Lines()
         self._facts: dict[tuple[str, ...], float] = {}
         self._keys_of: defaultdict[str, set[tuple[str, ...]]] = defaultdict(set)
 
@@ -90,21 +99,19 @@ class Relations:
     ) -> MeasurementChange:
         """Measure anew everything that involves a reshaped thing; ids that are no longer in `shapes` are forgotten."""
         reshaped = set(reshaped)
-        for thing in reshaped:
-            if thing in shapes:
-                self._index.put(thing, shapes[thing].bounds)
-            else:
-                self._index.remove(thing)
+        around_lines = self._move(reshaped, shapes)
         fresh: dict[tuple[str, ...], float] = {}
         stale: set[tuple[str, ...]] = set()
+        resettled = reshaped & shapes.keys()
         for thing in reshaped:
-            kept = () if thing not in shapes else ("contact", "footprint_share")
-            stale |= {
-                key
-                for key in self._keys_of[thing]
-                if key[0] not in kept or (key[0] == "contact" and key[1] in reshaped)
-            }
-        supports_of: set[str] = set()
+            for key in self._keys_of[thing]:
+                if key[0] in CONTACTS:
+                    resettled |= {key[1]} & shapes.keys()
+                    if key[1] not in reshaped and thing in shapes:
+                        continue
+                elif key[0] == "footprint_share" and thing in shapes:
+                    continue
+                stale.add(key)
         for thing in sorted(reshaped & shapes.keys()):
             mine = shapes[thing]
             fresh["longer_side", thing] = mine.box.size[0]
@@ -114,13 +121,51 @@ class Relations:
                 if other == thing or (other in reshaped and other < thing):
                     continue
                 self._measure_pair(thing, other, shapes, labels, around, fresh)
-                if shapes[other].lowest >= mine.lowest - 0.1:
-                    supports_of.add(other)  # what stands on a thing is measured anew with it
-            supports_of.add(thing)
-        for thing in sorted(supports_of):
-            stale |= {key for key in self._keys_of[thing] if key[0] == "contact" and key[1] == thing}
+                if self._may_rest(other, thing, shapes):
+                    resettled.add(other)
+        for thing in sorted(resettled):
+            stale |= {key for key in self._keys_of[thing] if key[0] in CONTACTS and key[1] == thing}
             fresh.update(self._contacts(thing, shapes, around))
-        return self._replace(stale, fresh)
+        change = self._replace(stale, fresh)
+        for thing in resettled:
+            around_lines |= self._lines.of(thing)
+        change.merge(self._look_between(around_lines, shapes))
+        return change
+
+    def _move(self, reshaped: set[str], shapes: Mapping[str, Shape]) -> set[Pair]:
+        """Bring the index up to date; returns the pairs with a line that passes where things were or are now."""
+        crossed: set[Pair] = set()
+        for thing in reshaped:
+            before = self._index.bounds(thing)
+            if before is not None:
+                crossed |= self._lines.over(before)
+            self._lines.forget(thing)
+            if thing in shapes:
+                self._index.put(thing, shapes[thing].bounds)
+                crossed |= self._lines.over(shapes[thing].bounds)
+            else:
+                self._index.remove(thing)
+        return crossed
+
+    def _may_rest(self, other: str, thing: str, shapes: Mapping[str, Shape]) -> bool:
+        """Whether what `other` rests on, hangs from or is fixed to may have changed with `thing`."""
+        mine, theirs = shapes[thing], shapes[other]
+        if _ground_gap(mine.bounds, theirs.bounds) > tolerance(mine):
+            return False
+        firm = any(
+            key[0] == "contact" and key[1] == other and self._facts[key] >= FIRM_FOOTING for key in self._keys_of[other]
+        )
+        return not firm or theirs.lowest >= mine.lowest - 0.1
+
+    def _look_between(self, pairs: set[Pair], shapes: Mapping[str, Shape]) -> MeasurementChange:
+        """Note how many things stand between the things of each pair, where both rest on the same."""
+        fresh: dict[tuple[str, ...], float] = {}
+        for pair in sorted(pairs):
+            one, two = ({k[2] for k in self._keys_of[x] if k[0] == "contact" and k[1] == x} for x in pair)
+            count = self._lines.between(pair, shapes, self._index.within) if one & two else 0
+            if count:
+                fresh["things_between", *pair] = count
+        return self._replace({("things_between", *pair) for pair in pairs}, fresh)
 
     def set_shares(self, thing: str, shares: Mapping[str, float]) -> MeasurementChange:
         """Note in which rooms the footprint of a thing lies: room id → share."""
@@ -139,11 +184,13 @@ class Relations:
 
     def document(self) -> list[list[Any]]:
         """All measurements as JSON values: [name, id, …, value]."""
-        return [[*key, value] for key, value in self._facts.items()]
+        lines = [["line", *row] for row in self._lines.document()]
+        return [[*key, value] for key, value in self._facts.items()] + lines
 
     def restore(self, document: list[list[Any]], shapes: Mapping[str, Shape]) -> None:
         """Take over what `document` gave."""
-        self._replace(set(), {tuple(row[:-1]): row[-1] for row in document})
+        self._lines.restore(row[1:] for row in document if row[0] == "line")
+        self._replace(set(), {tuple(row[:-1]): row[-1] for row in document if row[0] != "line"})
         for thing, shape in shapes.items():
             self._index.put(thing, shape.bounds)
 
@@ -188,6 +235,8 @@ class Relations:
                     lower = gap
                 fresh["path_gap_upper", a, b] = min(upper, NO_PATH_M)
                 fresh["path_gap_lower", a, b] = min(lower, NO_PATH_M)
+                if LEAST_LINE_M < gap and upper <= FAR_M:
+                    self._lines.put((a, b), p, q)
         smaller = min(shape_a.area, shape_b.area)
         overlap = kernels.overlap_area(shape_a.hull, shape_b.hull) / smaller if smaller > 0 else 0.0
         if overlap > 0.0:
@@ -211,6 +260,9 @@ class Relations:
         fresh["rise", a, b] = rise
         if rise > CONTACT_MARGIN_M:
             fresh["structure_between", a, b] = float(around.between(p, q) == "blocked")
+            storeys = around.storey(over.lowest), around.storey(under.lowest)
+            if None not in storeys and storeys[0] != storeys[1]:
+                fresh["same_storey", a, b] = 0.0
         footing_inside, voxels_inside = _inside(over, under, self._is_container(labels[b]))
         if footing_inside > 0.0:
             fresh["footing_inside", a, b] = footing_inside
@@ -218,77 +270,22 @@ class Relations:
 
     # -- contact ------------------------------------------------------------------------------------------
     def _contacts(self, thing: str, shapes: Mapping[str, Shape], around: Surroundings) -> dict[tuple[str, ...], float]:
-        """Share of the footing under which the first other material downwards belongs to each thing.
-
-        A surface hides behind what stands on it, so the surface is completed: the hull of what of it is seen around
-        the thing, at the height in question.
-        """
+        """What the thing rests on; and what it hangs from or is fixed to, when it rests on nothing firmly."""
         mine = shapes[thing]
-        footing = mine.footing
-        tolerance = CONTACT_MARGIN_M + mine.voxel_size_m
-        surfaces: list[tuple[float, str, Array]] = []
         low, high = mine.bounds
-        center = 0.5 * (low + high)
-        floor = around.floor_below(float(center[0]), float(center[1]), mine.lowest)
-        if floor is not None:
-            surfaces.append((floor[1], floor[0], np.ones(len(footing), bool)))
-        for other in self._index.within(mine.bounds, 0.0):
-            if other != thing:
-                surfaces += [(top, other, inside) for top, inside in _surfaces_under(mine, shapes[other], footing)]
-        surfaces.sort(key=lambda s: (-s[0], s[1]))
-        contacts = _first_below(footing, surfaces, mine.lowest, tolerance)
-        if not contacts and surfaces and self._bottom_hidden(mine, surfaces[0][0], footing, around):
-            contacts = _first_below(footing, surfaces, surfaces[0][0], tolerance)
-        return {("contact", thing, other): share for other, share in contacts.items()}
-
-    @staticmethod
-    def _bottom_hidden(mine: Shape, top: float, footing: Array, around: Surroundings) -> bool:
-        drop = mine.lowest - top
-        if not 0.0 < drop <= SETTLE_M:
-            return False
-        heights = np.arange(top + mine.voxel_size_m, mine.lowest, mine.voxel_size_m)
-        if not len(heights):
-            return True
-        columns = np.concatenate([np.column_stack([footing, np.full(len(footing), z)]) for z in heights])
-        return float(np.mean(~around.seen_free(columns))) >= HIDDEN_SHARE
-
-
-def _first_below(
-    footing: Array, surfaces: list[tuple[float, str, Array]], bottom: float, tolerance: float
-) -> dict[str, float]:
-    """Each footing column goes to the highest surface under it that is not above `bottom`; shares of those in reach."""
-    free = np.ones(len(footing), bool)
-    shares: dict[str, float] = {}
-    for top, owner, inside in surfaces:
-        if top > bottom + tolerance:
-            continue
-        mine = free & inside
-        if mine.any():
-            free &= ~mine
-            if bottom - top <= tolerance:
-                shares[owner] = shares.get(owner, 0.0) + float(mine.sum()) / len(footing)
-    return shares
-
-
-def _surfaces_under(mine: Shape, other: Shape, footing: Array) -> list[tuple[float, Array]]:
-    """The upward surfaces of `other` at most SETTLE_M below the bottom of `mine`: height, and which columns they
-    cover."""
-    tolerance = CONTACT_MARGIN_M + mine.voxel_size_m
-    up = other.facing_up
-    near = (up[:, 2] <= mine.lowest + tolerance) & (up[:, 2] >= mine.lowest - SETTLE_M)
-    low, high = mine.bounds
-    near &= ((up[:, :2] >= low[:2] - SIDE_WINDOW_M) & (up[:, :2] <= high[:2] + SIDE_WINDOW_M)).all(axis=1)
-    up = up[near]
-    found: list[tuple[float, Array]] = []
-    while len(up) >= 3:
-        top = float(up[:, 2].max())
-        level = up[:, 2] >= top - tolerance
-        hull = kernels.convex_hull(up[level, :2].astype(np.float64))
-        inside = kernels.points_inside(hull, footing, 0.5 * mine.voxel_size_m)
-        if inside.any():
-            found.append((float(np.median(up[level, 2])), inside))
-        up = up[~level]
-    return found
+        x, y = (0.5 * (low + high)[:2]).tolist()
+        reach = tolerance(mine)
+        beside = {other: shapes[other] for other in self._index.within(mine.bounds, reach) if other != thing}
+        under = {o: s for o, s in beside.items() if _ground_gap(s.bounds, mine.bounds) <= 0.0}
+        rest = resting(mine, under, around.floor_below(x, y, mine.lowest), around.seen_free)
+        found = {("contact", thing, other): share for other, share in rest.shares.items()}
+        found["footing_seen", thing] = rest.footing_seen
+        if max(rest.shares.values(), default=0.0) < FIRM_FOOTING:
+            ceiling = around.ceiling_above(x, y, mine.highest)
+            found.update({("top_contact", thing, o): share for o, share in hanging(mine, under, ceiling).items()})
+            walls = around.walls_beside(low - reach, high + reach)
+            found.update({("side_contact", thing, o): share for o, share in fixed(mine, beside, walls).items()})
+        return found
 
 
 def _rise(over: Shape, under: Shape) -> tuple[float, Array, Array]:
@@ -339,6 +336,10 @@ def _enclosed(points: Array, b: Shape) -> Array:
 def _some(points: Array, most: int) -> Array:
     """At most `most` of the points, evenly chosen."""
     return points if len(points) <= most else points[np.linspace(0, len(points) - 1, most).astype(np.int64)]
+
+
+def _ground_gap(a: tuple[Array, Array], b: tuple[Array, Array]) -> float:
+    return float(np.maximum(a[0] - b[1], b[0] - a[1])[:2].max())
 
 
 def _bounds_gap(a: tuple[Array, Array], b: tuple[Array, Array]) -> float:

@@ -31,6 +31,8 @@ SIDE_NEAR_M = 0.02
 """Points that look for the direction of a box, and how close to its side is close enough: the noise of its surface."""
 FOOTING_HEIGHT_M = 0.03
 """Columns whose lowest material lies within this of the lowest point carry the thing (`contact_gap` in the rules)."""
+HEAD_HEIGHT_M = 0.05
+"""The topmost part of a thing, by which it hangs."""
 HEADROOM_M = 0.10
 """A surface faces up, and can carry something, when this much above it is clear of the thing's own material."""
 
@@ -141,6 +143,17 @@ class Shape:
         """(F, 2) the columns on which the thing stands."""
         bottoms = self.bottoms
         return bottoms[bottoms[:, 2] <= self.lowest + FOOTING_HEIGHT_M, :2].astype(np.float64)
+
+    @cached_property
+    def upside_down(self) -> Shape:
+        """The same thing mirrored at z = 0: its underside faces up."""
+        return Shape(self.points * np.array([1.0, 1.0, -1.0], np.float32), self.voxel_size_m)
+
+    @cached_property
+    def head(self) -> Array:
+        """(H, 2) the columns that reach up into its topmost part."""
+        tops = self.upside_down.bottoms
+        return tops[-tops[:, 2] >= self.highest - HEAD_HEIGHT_M, :2].astype(np.float64)
 
     def distance_m(self, other: Shape) -> tuple[float, Array, Array]:
         """Least distance between the points of both, and a pair of points (3,), (3,) that attains it.

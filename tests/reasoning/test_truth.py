@@ -276,6 +276,9 @@ def test_next_to_needs_one_support_and_nothing_between(fresh: KnowledgeBase) -> 
             *thing("jar_1", "jar", 1.5, -0.05, 0.8, (0.05, 0.05, 0.1)),
             *pair("jar_1", "bowl_1", 0.02),
             *pair("jar_1", "book_1", 0.02),
+            fact("measured", "things_between", "bowl_1", "book_1", 1.0),
         ]
     )
     assert fresh.ask("next_to(book, bowl)").truth == "false"
+    fresh.update([fact("measured", "things_between", "bowl_1", "book_1", "unknown")])
+    assert fresh.ask("next_to(bowl, book)").truth == "unknown"

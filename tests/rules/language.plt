@@ -2,6 +2,7 @@
 :- use_module(rules(facts)).
 :- use_module(rules(language)).
 :- use_module(library(plunit)).
+:- use_module(library(occurs)).
 
 means(Text, Kind, Relation, Goal) :-
     understand(Text, phrase(Kind, Relation, _, String)),
@@ -47,6 +48,16 @@ test(relative_clause, true(Goal = (instance_of(X, cup), instance_of(Y, oven), ne
     means("the cup that is near the oven", thing, none, Goal).
 test(between_two, true(Names-Goal == ["Target", "Target2"]-"instance_of(Target, cup), instance_of(Target2, oven)")) :-
     understand("between the cup and the oven", phrase(place, between, Names, Goal)).
+test(what_is_between_two,
+     true(Goal = (instance_of(Y, cup), instance_of(Z, oven), between(_, Y, Z)))) :-
+    means("what is between the cup and the oven", thing, none, Goal).
+test(what_hangs_and_what_is_fixed, true(Bad == [])) :-
+    findall(Text, ( member(Text-Relation, [ "what is hanging from the shelf"-hanging_from,
+                                            "what is mounted on the shelf"-attached_to,
+                                            "everything attached to the shelf"-attached_to,
+                                            "what is blocking the door"-blocks ]),
+                    \+ ( means(Text, thing, none, Goal), sub_term(Literal, Goal), functor(Literal, Relation, 2) ) ),
+            Bad).
 test(the_unknown_word_is_named, true(Code-Message == not_understood-"I do not know the word `tabel`")) :-
     understand("on the tabel", problem(Code, Message, _)).
 test(the_hint_is_near, true(sub_string(Hint, _, _, _, "`table`"))) :-

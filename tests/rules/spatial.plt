@@ -164,6 +164,123 @@ test(without_a_voxel_the_margin_alone, fail) :-
 
 :- end_tests(touching).
 
+:- begin_tests(next_to, [setup(with([ node(cup, object), node(jar, object), node(table, object), node(shelf, object),
+                                      measured(longer_side, cup, 0.1), measured(longer_side, jar, 0.1),
+                                      measured(lowest, cup, 0.7), measured(lowest, jar, 0.7),
+                                      measured(lowest, table, 0.0), measured(lowest, shelf, 0.0),
+                                      measured(contact, cup, table, 1.0), measured(contact, jar, table, 1.0),
+                                      measured(path_gap_upper, cup, jar, 0.2),
+                                      measured(path_gap_lower, cup, jar, 0.2) ]))]).
+
+test(near_on_one_support_with_nothing_between, true(holds(next_to, jar, cup))) :- once(holds(next_to, cup, jar)).
+test(a_thing_between_parts_them, true(Truth == false)) :-
+    tell([measured(things_between, cup, jar, 1)]),
+    judged(next_to, jar, cup, Truth, _).
+test(unknown_when_it_is_not_known_what_is_between, true(Truth == unknown)) :-
+    tell([measured(things_between, cup, jar, unknown)]),
+    judged(next_to, cup, jar, Truth, _).
+test(another_support_parts_them, true(Truth == false)) :-
+    tell([ measured(things_between, cup, jar, 0), measured(contact, jar, table, 0.0),
+           measured(contact, jar, shelf, 1.0) ]),
+    judged(next_to, cup, jar, Truth, _).
+test(unknown_while_a_contact_is, true(Truth == unknown)) :-
+    tell([measured(contact, jar, table, unknown)]),
+    judged(next_to, cup, jar, Truth, _).
+test(two_common_supports_are_one_answer, all(B == [jar])) :-
+    tell([measured(contact, jar, table, 0.5), measured(contact, cup, shelf, 0.5), measured(contact, jar, shelf, 0.5)]),
+    judged(next_to, cup, B, true, _).
+test(not_near_not_next_to, fail) :-
+    tell([measured(path_gap_upper, cup, jar, 0.6), measured(path_gap_lower, cup, jar, 0.6)]),
+    holds(next_to, cup, jar).
+
+:- end_tests(next_to).
+
+:- begin_tests(attached_to, [setup(with([ node(picture, object), node(wall, structure), node(floor, structure),
+                                          measured(side_contact, picture, wall, 0.9) ]))]).
+
+test(fixed_to_a_wall, all(W == [wall])) :- holds(attached_to, picture, W).
+test(found_from_the_other_end, all(P == [picture])) :- holds(attached_to, P, wall).
+test(a_corner_that_touches_is_not_fixed, fail) :-
+    tell([measured(side_contact, picture, wall, 0.1)]),
+    holds(attached_to, picture, wall).
+test(what_stands_before_a_wall_is_not_fixed_to_it, true(Truth == false)) :-
+    tell([measured(side_contact, picture, wall, 0.9), measured(contact, picture, floor, 1.0)]),
+    judged(attached_to, picture, wall, Truth, _).
+test(unknown_while_the_footing_is, true(Truth == unknown)) :-
+    tell([measured(contact, picture, floor, unknown)]),
+    judged(attached_to, picture, wall, Truth, _).
+test(one_edge_one_way, true(Names == [attached_to(picture, wall)])) :-
+    tell([measured(contact, picture, floor, 0.0)]),
+    derived_edges_of([picture, wall], Edges),
+    findall(Name, ( member(edge(R, A, B, _, _, _), Edges), Name =.. [R, A, B] ), Names).
+
+:- end_tests(attached_to).
+
+:- begin_tests(hanging_from, [setup(with([ node(lamp, object), node(ceiling, structure), node(table, object),
+                                           measured(top_contact, lamp, ceiling, 1.0) ]))]).
+
+test(from_the_ceiling, all(B == [ceiling])) :- holds(hanging_from, lamp, B).
+test(a_pillar_that_stands_does_not_hang, fail) :-
+    tell([measured(contact, lamp, table, 0.8)]),
+    holds(hanging_from, lamp, ceiling).
+test(unknown_tops_are_unknown, true(Truth == unknown)) :-
+    tell([measured(contact, lamp, table, 0.0), measured(top_contact, lamp, ceiling, unknown)]),
+    judged(hanging_from, lamp, ceiling, Truth, _).
+
+:- end_tests(hanging_from).
+
+:- begin_tests(part_of, [setup(with([ node(d, object), label(d, drawer), node(w, object), label(w, wardrobe),
+                                      node(h, object), label(h, handle), node(t, object), label(t, table),
+                                      measured(gap, d, w, 0.0), measured(gap, d, h, 0.0), measured(gap, h, t, 0.0) ]))]).
+
+test(a_drawer_of_a_wardrobe_and_its_handle, set(A-B == [d-w, h-d])) :- judged(part_of, A, B, true, _).
+test(from_either_side, true(As-Bs == [d]-[w])) :-
+    findall(A, holds(part_of, A, w), As),
+    findall(B, holds(part_of, d, B), Bs).
+test(what_does_not_touch_is_no_part, fail) :-
+    tell([measured(gap, d, w, 0.5)]),
+    holds(part_of, d, w).
+test(but_what_is_inside_is, all(A == [d])) :-
+    tell([measured(footing_inside, d, w, 1.0), measured(voxels_inside, d, w, 1.0)]),
+    holds(part_of, A, w).
+test(unknown_gaps_are_unknown, true(Truth == unknown)) :-
+    tell([measured(footing_inside, d, w, 0.0), measured(gap, d, w, unknown)]),
+    once(judged(part_of, d, w, Truth, _)).
+
+:- end_tests(part_of).
+
+:- begin_tests(on_demand, [setup(with([ node(cup, object), node(rob, agent), node(door, structure), node(box, object),
+                                        attribute(rob, width_m, 0.6) ]))]).
+
+test(seen, true(Truth == true)) :-
+    tell([measured(visible, cup, rob, 0.3), measured(possibly_visible, cup, rob, 0.5)]),
+    judged(visible_from, cup, rob, Truth, _).
+test(perhaps_seen_through_what_was_not_observed, true(Truth == unknown)) :-
+    tell([measured(visible, cup, rob, 0.0)]),
+    judged(visible_from, cup, rob, Truth, _).
+test(hidden, true(Truth == false)) :-
+    tell([measured(possibly_visible, cup, rob, 0.0)]),
+    judged(visible_from, cup, rob, Truth, _).
+test(reached, true(Truth == true)) :-
+    tell([measured(way_upper, cup, rob, 3.0), measured(way_lower, cup, rob, 3.0)]),
+    judged(reachable, cup, rob, Truth, _).
+test(perhaps_reached_over_unseen_ground, true(Truth == unknown)) :-
+    tell([measured(way_upper, cup, rob, 1.0e9)]),
+    judged(reachable, cup, rob, Truth, _).
+test(shut_in, true(Truth == false)) :-
+    tell([measured(way_lower, cup, rob, 1.0e9)]),
+    judged(reachable, cup, rob, Truth, _).
+test(a_box_that_leaves_half_a_metre_blocks_a_robot_of_60_cm, all(A-D == [box-door])) :-
+    tell([measured(clear_width, box, door, 0.5)]),
+    judged(blocks, A, D, true, _).
+test(a_narrower_robot_passes, fail) :-
+    tell([attribute(rob, width_m, 0.4)]),
+    holds(blocks, box, door).
+test(none_of_them_is_stored, true(Edges == [])) :-
+    derived_edges_of([cup, rob, box, door], Edges).
+
+:- end_tests(on_demand).
+
 :- begin_tests(edges, [setup(with([ node(cup, object), node(table, object), node(chair, object),
                                     measured(lowest, cup, 0.75), measured(lowest, table, 0.0),
                                     measured(contact, cup, table, 1.0), measured(footing_seen, cup, 1.0),

@@ -50,16 +50,49 @@ exchanged(in_front_of, behind).
 
 :- end_tests(viewpoint).
 
-:- begin_tests(between_them, [setup(with([ position(a, 0.0, 0.0, 0.5), position(b, 1.0, 0.0, 0.5),
-        measured(path_gap_upper, a, c, 0.1), measured(path_gap_lower, a, c, 0.1),
-        measured(path_gap_upper, b, c, 0.1), measured(path_gap_lower, b, c, 0.1) ]))]).
+%   A sofa 2 m wide and a TV 1.2 m wide face each other 2 m apart; the table stands in the hull of both.
+:- begin_tests(between, [setup(with([ node(sofa, object), position(sofa, 0.0, 0.0, 0.4), size(sofa, 2.0, 0.8, 0.8),
+                                      node(tv, object), position(tv, 0.0, 3.0, 1.0), size(tv, 1.2, 0.2, 0.7),
+                                      node(table, object) ]))]).
 
-test(in_the_way, all(T == [c])) :- tell([position(c, 0.5, 0.0, 0.5), size(c, 0.1, 0.1, 0.2)]), between_them(a, b, T).
-test(beside_the_way, fail) :- tell([position(c, 0.5, 0.2, 0.5), size(c, 0.1, 0.1, 0.2)]), between_them(a, b, c).
-test(turned_into_the_way, all(T == [c])) :-
-    tell([position(c, 0.5, 0.2, 0.5), size(c, 0.6, 0.02, 0.2), yaw(c, 1.5708)]), between_them(a, b, T).
-test(too_low_to_matter, fail) :- tell([position(c, 0.5, 0.0, 0.0), size(c, 0.1, 0.1, 0.2)]), between_them(a, b, c).
-test(beyond_the_end, fail) :-
-    tell([position(c, 1.4, 0.0, 0.5), size(c, 0.1, 0.1, 0.2), yaw(c, 0)]), between_them(a, b, c).
+test(in_the_hull, all(Share == [1.0])) :-
+    tell([position(table, 0.0, 1.5, 0.2), size(table, 0.8, 0.4, 0.4), yaw(table, 0.4)]),
+    lies_between(table, sofa, tv, Share0),
+    Share is round(Share0*1000)/1000.0.
+test(the_order_of_the_two_does_not_matter, true(abs(S1-S2) < 1.0e-9)) :-
+    lies_between(table, sofa, tv, S1),
+    lies_between(table, tv, sofa, S2).
+test(beside_is_not_between, fail) :-
+    tell([position(table, 1.5, 1.5, 0.2)]),
+    lies_between(table, sofa, tv, _).
+test(what_stands_on_one_of_them_is_not_between, fail) :-
+    tell([position(table, 0.0, 0.0, 0.9)]),
+    lies_between(table, sofa, tv, _).
+test(what_is_under_both_is_counted_out_once, all(Share == [0.6])) :-
+    tell([ position(table, 0.0, 1.5, 0.0), size(table, 1.0, 2.0, 0.01), yaw(table, 0),
+           node(a, object), position(a, 0.0, 0.5, 0.2), size(a, 3.0, 0.8, 0.4),
+           node(b, object), position(b, 0.0, 2.5, 0.2), size(b, 3.0, 0.8, 0.4) ]),
+    lies_between(table, a, b, Share0),
+    Share is round(Share0*1000)/1000.0.
+test(all_that_lie_there, all(Thing == [table])) :-
+    lies_between(Thing, a, b, _),
+    Thing == table.
+test(turning_the_world_changes_nothing, true(( Share > 0.6, Share < 0.99, Odd == [] ))) :-
+    share_turned_by(0, Share),
+    findall(D, ( between(1, 35, N), D is N*10, share_turned_by(D, Other), abs(Share-Other) > 1.0e-9 ), Odd).
 
-:- end_tests(between_them).
+share_turned_by(Degrees, Share) :-
+    T is Degrees*pi/180,
+    turned(0.4, 1.4, T, XT, YT),
+    turned(0.2, 3.0, T, XV, YV),
+    YawT is T+0.7,
+    with([ node(t, object), position(t, XT, YT, 0), size(t, 0.9, 0.5, 1), yaw(t, YawT),
+           node(s, object), position(s, 0, 0, 0), size(s, 1.0, 0.8, 1), yaw(s, T),
+           node(v, object), position(v, XV, YV, 0), size(v, 1.2, 0.2, 1), yaw(v, T) ]),
+    ( lies_between(t, s, v, Share0) -> Share = Share0 ; Share = none ).
+
+turned(X, Y, T, XT, YT) :-
+    XT is X*cos(T)-Y*sin(T),
+    YT is X*sin(T)+Y*cos(T).
+
+:- end_tests(between).

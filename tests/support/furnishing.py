@@ -10,6 +10,7 @@ import numpy as np
 from reasoning import KnowledgeBase
 from reasoning.terms import Atom, Compound
 from scenegraph.facts import measurement_facts
+from scenegraph.perception.contacts import Wall
 from scenegraph.perception.relations import Passage, Relations
 from scenegraph.perception.shapes import Shape
 
@@ -85,6 +86,7 @@ class Plan:
     walls: Sequence[tuple[float, float, float, float]] = ()
     unseen: Sequence[tuple[float, float, float, float]] = ()
     doors: Sequence[tuple[float, float]] = ()
+    ceilings: Mapping[str, float] = field(default_factory=dict)
     seen_free_everywhere: bool = True
 
     def floor_below(self, x: float, y: float, z: float) -> tuple[str, float] | None:
@@ -93,6 +95,29 @@ class Plan:
             return None
         name = max(below, key=lambda n: below[n])
         return name, below[name]
+
+    def ceiling_above(self, x: float, y: float, z: float) -> tuple[str, float] | None:
+        above = {name: height for name, height in self.ceilings.items() if height >= z - 0.3}
+        if not above:
+            return None
+        name = min(above, key=lambda n: above[n])
+        return name, above[name]
+
+    def walls_beside(self, low: np.ndarray, high: np.ndarray) -> list[Wall]:
+        found = []
+        for n, (x0, y0, x1, y1) in enumerate(self.walls):
+            along = np.array([x1 - x0, y1 - y0]) / np.hypot(x1 - x0, y1 - y0)
+            normal = np.array([-along[1], along[0]])
+            start = np.array([x0, y0])
+            found.append(
+                Wall(f"wall_{n}", normal, float(start @ normal), along, float(start @ along),
+                     float(np.array([x1, y1]) @ along), 0.0, 2.4)
+            )  # fmt: skip
+        return found
+
+    def storey(self, z: float) -> int | None:
+        below = sorted(height for height in self.floors.values() if height <= z + 0.3)
+        return len(below) or None
 
     def between(self, p: np.ndarray, q: np.ndarray) -> Passage:
         if any(min(p[2], q[2]) < z < max(p[2], q[2]) for z in self.slabs):
@@ -144,11 +169,12 @@ def tell(
     rooms = sorted({room for of_rooms in (shares or {}).values() for room in of_rooms})
     layers = [
         *((n, "object") for n in things),
-        *((f, "structure") for f in around.floors),
+        *((f, "structure") for f in (*around.floors, *around.ceilings, *(f"wall_{n}" for n in range(len(around.walls))))),
         *((r, "room") for r in rooms),
     ]
     for name, layer in layers:
-        label = label_of(name) if layer == "object" else "floor" if layer == "structure" else "room"
+        label = label_of(name) if layer == "object" or name.startswith("wall") else "floor"
+        label = "room" if layer == "room" else label
         facts += [Compound("node", (Atom(name), Atom(layer))), Compound("label", (Atom(name), Atom(label)))]
     knowledge.update(put=facts + measurement_facts(measured)[0], forget=known)
     return sorted(things)
