@@ -247,8 +247,8 @@ class KnowledgeBase:
     def derived_edges(self, ids: Iterable[str]) -> tuple[list[str], list[DerivedEdge]]:
         """Every edge that the rules now derive at `ids` and at what stands on them.
 
-        Returns the ids that were looked at (sorted) and all derived edges, in both directions where both have a name, that begin or end there:
-        stored derived edges at these ids that are not among them no longer hold.
+        Returns the ids that were looked at (sorted) and all derived edges that begin or end there, in both directions
+        where both have a name: stored derived edges at these ids that are not among them no longer hold.
         """
         things: list[Any] = [Atom(node) for node in ids]
         goal = Compound("affected_edges", (things, Var("Ids"), Var("Pairs")))

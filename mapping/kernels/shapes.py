@@ -185,15 +185,17 @@ def within(points: Array, center: Array, radius: float) -> Array:
 
 
 @njit(cache=True)
-def near_segment(points: Array, p: Array, q: Array, beside: float, clear: float) -> bool:
-    """Whether one of the points (N, 3) lies within `beside` of the segment from p to q (3,), and more than `clear` along
-    it from either end. Lengths in metres."""
+def near_segment(points: Array, p: Array, q: Array, beside: float, clear: float, over: float) -> bool:
+    """Whether a point (N, 3) higher than `over` lies within `beside` of the segment from p to q (3,), more than `clear`
+    from either end along it. Lengths in metres."""
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
     if length <= 2.0 * clear:
         return False
     dx, dy, dz = dx / length, dy / length, dz / length
     for n in range(len(points)):
+        if points[n, 2] <= over:
+            continue
         x, y, z = points[n, 0] - p[0], points[n, 1] - p[1], points[n, 2] - p[2]
         along = x * dx + y * dy + z * dz
         if clear < along < length - clear and x * x + y * y + z * z - along * along <= beside * beside:

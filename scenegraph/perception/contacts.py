@@ -67,8 +67,8 @@ def tolerance(thing: Shape) -> float:
 def resting(mine: Shape, others: Mapping[str, Shape], floor: Level, seen_free: Callable[[Array], Array]) -> Resting:
     """Share of the footing under which the first other material downwards, within contact, belongs to each thing.
 
-    A thing of which the lowest part was not seen is completed straight down to what is below it, where the space between
-    was not seen to be free.
+    A thing of which the lowest part was not seen is completed straight down to what is below it, where the space
+    between was not seen to be free.
     """
     footing = mine.footing
     surfaces = _surfaces_under(mine, others, footing, floor)

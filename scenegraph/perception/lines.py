@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Set
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -61,11 +61,16 @@ class Lines:
         return {_pair(name) for name in self._index.within(bounds, 0.0)}
 
     def between(
-        self, pair: Pair, shapes: Mapping[str, Shape], within: Callable[[tuple[Array, Array], float], Iterable[str]]
+        self,
+        pair: Pair,
+        supports: Set[str],
+        shapes: Mapping[str, Shape],
+        within: Callable[[tuple[Array, Array], float], Iterable[str]],
     ) -> int:
         """How many other things stand on the line of a pair; 0 without a line.
 
-        within(bounds, reach): the things whose ground meets such bounds.
+        What carries both (`supports`) does so only where it rises over the lower end, as a board does between two
+        others.  within(bounds, reach): the things whose ground meets such bounds.
         """
         if pair not in self._ends:
             return 0
@@ -79,7 +84,8 @@ class Lines:
             if shape.lowest > high[2] or shape.highest < low[2]:
                 continue
             voxel = shape.voxel_size_m
-            count += bool(near_segment(shape.points, p, q, BESIDE_VOXELS * voxel, CLEAR_VOXELS * voxel))
+            clear, over = (0.0, low[2] + voxel) if other in supports else (CLEAR_VOXELS * voxel, -np.inf)
+            count += bool(near_segment(shape.points, p, q, BESIDE_VOXELS * voxel, clear, over))
         return count
 
     def document(self) -> list[list[Any]]:

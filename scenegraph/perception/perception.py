@@ -186,6 +186,7 @@ class Perception:
             self.clusters.restore(document["clusters"], self._map, self.structure.labels, graph)
         self.relations.restore(document["relations"], self.objects.shapes)
         labelled = [(label, self._map.planes.plane(i)) for i, label in self.structure.labels.items()]
+        self.building = Building(self._map.planes, self._map.occupancy, self.rooms.storey_number)
         self.building.update(labelled, ())
 
     @staticmethod

@@ -32,6 +32,7 @@ CONTACTS = ("contact", "top_contact", "side_contact")
 LEAST_LINE_M = 0.05
 """Nothing stands between two things that are nearer than this: two voxels."""
 NO_PATH_M = 1.0e9
+MOST_COLUMNS = 40
 MOST_INSIDE = 300
 MOST_MATERIAL = 8000
 """Points of a thing, and of what it may be in, that are looked at to see whether it is inside."""
@@ -162,7 +163,7 @@ class Relations:
         fresh: dict[tuple[str, ...], float] = {}
         for pair in sorted(pairs):
             one, two = ({k[2] for k in self._keys_of[x] if k[0] == "contact" and k[1] == x} for x in pair)
-            count = self._lines.between(pair, shapes, self._index.within) if one & two else 0
+            count = self._lines.between(pair, one & two, shapes, self._index.within) if one & two else 0
             if count:
                 fresh["things_between", *pair] = count
         return self._replace({("things_between", *pair) for pair in pairs}, fresh)
@@ -225,7 +226,7 @@ class Relations:
         if _bounds_gap(shape_a.bounds, shape_b.bounds) <= FAR_M:
             gap, p, q = shape_a.distance_m(shape_b)
             if gap <= FAR_M:
-                touch = 0.5 * (shape_a.voxel_size_m + shape_b.voxel_size_m)
+                touch = 0.25 * (shape_a.voxel_size_m + shape_b.voxel_size_m)
                 fresh["gap", a, b] = gap = max(0.0, gap - touch)
                 upper = lower = gap
                 passage = around.between(p, q) if gap > 0.0 else "clear"
@@ -235,7 +236,7 @@ class Relations:
                     lower = gap
                 fresh["path_gap_upper", a, b] = min(upper, NO_PATH_M)
                 fresh["path_gap_lower", a, b] = min(lower, NO_PATH_M)
-                if LEAST_LINE_M < gap and upper <= FAR_M:
+                if gap > LEAST_LINE_M and upper <= FAR_M:
                     self._lines.put((a, b), p, q)
         smaller = min(shape_a.area, shape_b.area)
         overlap = kernels.overlap_area(shape_a.hull, shape_b.hull) / smaller if smaller > 0 else 0.0
@@ -256,7 +257,7 @@ class Relations:
         over, under = shapes[a], shapes[b]
         if over.highest <= under.lowest:
             return
-        rise, p, q = _rise(over, under)
+        rise, p, q = _rise(over, under, around.seen_free)
         fresh["rise", a, b] = rise
         if rise > CONTACT_MARGIN_M:
             fresh["structure_between", a, b] = float(around.between(p, q) == "blocked")
@@ -278,7 +279,7 @@ class Relations:
         beside = {other: shapes[other] for other in self._index.within(mine.bounds, reach) if other != thing}
         under = {o: s for o, s in beside.items() if _ground_gap(s.bounds, mine.bounds) <= 0.0}
         rest = resting(mine, under, around.floor_below(x, y, mine.lowest), around.seen_free)
-        found = {("contact", thing, other): share for other, share in rest.shares.items()}
+        found: dict[tuple[str, ...], float] = {("contact", thing, o): share for o, share in rest.shares.items()}
         found["footing_seen", thing] = rest.footing_seen
         if max(rest.shares.values(), default=0.0) < FIRM_FOOTING:
             ceiling = around.ceiling_above(x, y, mine.highest)
@@ -288,16 +289,31 @@ class Relations:
         return found
 
 
-def _rise(over: Shape, under: Shape) -> tuple[float, Array, Array]:
-    """Median over the common columns of (bottom of `over` − top of `under`), and a point on each side of the gap."""
+def _rise(over: Shape, under: Shape, seen_free: Callable[[Array], Array]) -> tuple[float, Array, Array]:
+    """Median over the common columns of (bottom of `over` − top of `under`), and a point on each side of the gap.
+
+    Of many columns only the top was seen: they go down to where space was seen to be free, or to the lowest point.
+    """
     inside = kernels.points_inside(under.hull, over.bottoms[:, :2].astype(np.float64), 0.0)
-    bottoms = over.bottoms[inside] if inside.any() else over.bottoms
-    tops = under.facing_up
-    common = kernels.points_inside(over.hull, tops[:, :2].astype(np.float64), 0.0)
-    tops = tops[common] if common.any() else tops
-    bottom, top = float(np.median(bottoms[:, 2])), float(np.median(tops[:, 2]))
-    middle = bottoms[:, :2].mean(axis=0)
+    bottoms = _some(over.bottoms[inside] if inside.any() else over.bottoms, MOST_COLUMNS).astype(np.float64)
+    common = kernels.points_inside(over.hull, under.tops[:, :2].astype(np.float64), 0.0)
+    tops = under.tops[common] if common.any() else under.tops
+    top, middle = float(np.median(tops[:, 2])), bottoms[:, :2].mean(axis=0)
+    if np.median(bottoms[:, 2]) - top > CONTACT_MARGIN_M:
+        bottoms[:, 2] = _completed(bottoms, over.lowest, over.voxel_size_m, seen_free)
+    bottom = float(np.median(bottoms[:, 2]))
     return bottom - top, np.array([*middle, bottom]), np.array([*middle, top])
+
+
+def _completed(bottoms: Array, lowest: float, voxel_size_m: float, seen_free: Callable[[Array], Array]) -> Array:
+    """(C,) heights down to which columns with these lowest points (C, 3) may go: no seen free space is on the way."""
+    steps = np.arange(lowest, float(bottoms[:, 2].max()), 2.0 * voxel_size_m)[::-1]
+    if not len(steps):
+        return bottoms[:, 2]
+    at = np.concatenate([np.column_stack([bottoms[:, :2], np.full(len(bottoms), z)]) for z in steps])
+    free = seen_free(at).reshape(len(steps), len(bottoms)) & (steps[:, None] < bottoms[:, 2] - voxel_size_m)
+    first = free.argmax(axis=0)
+    return np.where(free.any(axis=0), np.minimum(steps[first] + 2.0 * voxel_size_m, bottoms[:, 2]), lowest)
 
 
 def _inside(a: Shape, b: Shape, whole_box: bool) -> tuple[float, float]:

@@ -145,6 +145,12 @@ class Shape:
         return bottoms[bottoms[:, 2] <= self.lowest + FOOTING_HEIGHT_M, :2].astype(np.float64)
 
     @cached_property
+    def tops(self) -> NDArray[np.float32]:
+        """(C, 3) the highest point of every column."""
+        turned = self.upside_down.bottoms
+        return turned * np.array([1.0, 1.0, -1.0], np.float32)
+
+    @cached_property
     def upside_down(self) -> Shape:
         """The same thing mirrored at z = 0: its underside faces up."""
         return Shape(self.points * np.array([1.0, 1.0, -1.0], np.float32), self.voxel_size_m)
@@ -152,8 +158,7 @@ class Shape:
     @cached_property
     def head(self) -> Array:
         """(H, 2) the columns that reach up into its topmost part."""
-        tops = self.upside_down.bottoms
-        return tops[-tops[:, 2] >= self.highest - HEAD_HEIGHT_M, :2].astype(np.float64)
+        return self.tops[self.tops[:, 2] >= self.highest - HEAD_HEIGHT_M, :2].astype(np.float64)
 
     def distance_m(self, other: Shape) -> tuple[float, Array, Array]:
         """Least distance between the points of both, and a pair of points (3,), (3,) that attains it.

@@ -14,7 +14,20 @@ from reasoning import KnowledgeBase
 from scenegraph.perception.building import Building
 from scenegraph.perception.relations import Relations
 from scenegraph.perception.shapes import Shape
-from tests.support.furnishing import VOXEL, Plan, box, chair, cup, derived, placed, plate_on_legs, surface, tell, thing
+from tests.support.furnishing import (
+    VOXEL,
+    Plan,
+    box,
+    chair,
+    cup,
+    derived,
+    judged,
+    placed,
+    plate_on_legs,
+    surface,
+    tell,
+    thing,
+)
 
 TABLE = plate_on_legs(1.4, 0.8, 0.75)
 ROOM = Plan()
@@ -40,6 +53,8 @@ def test_a_cup_on_a_book_on_a_table(rules: KnowledgeBase) -> None:
     assert pairs(edges, "on") == {("cup_1", "book_1"), ("book_1", "table_1"), ("table_1", "plane_1")}
     assert pairs(edges, "supports") == {("book_1", "cup_1"), ("table_1", "book_1"), ("plane_1", "table_1")}
     assert not pairs(edges, "above"), "a cup on a book is not above it; the table is not below the cup by a gap"
+    assert not pairs(edges, "next_to"), "the cup stands on the book, the book on the table: not on the same"
+    assert not pairs(edges, "attached_to") | pairs(edges, "hanging_from")
 
 
 def test_a_chair_half_under_a_table_is_under_it_and_stands_on_the_floor(rules: KnowledgeBase) -> None:
@@ -50,6 +65,7 @@ def test_a_chair_half_under_a_table_is_under_it_and_stands_on_the_floor(rules: K
     assert pairs(edges, "under") == {("chair_1", "table_1")}
     assert ("chair_1", "table_1") in pairs(edges, "near")
     assert not pairs(edges, "in")
+    assert pairs(edges, "next_to") == {("chair_1", "table_1"), ("table_1", "chair_1")}
 
 
 def test_a_cup_on_a_seat_is_on_the_chair_although_the_backrest_is_higher(rules: KnowledgeBase) -> None:
@@ -67,6 +83,7 @@ def test_a_monitor_and_a_keyboard_stand_on_the_desk_and_not_on_each_other(rules:
     edges = derived(rules, things, ROOM)
     assert pairs(edges, "on") == {("desk_1", "plane_1"), ("monitor_1", "desk_1"), ("keyboard_1", "desk_1")}
     assert ("keyboard_1", "monitor_1") in pairs(edges, "near")
+    assert pairs(edges, "next_to") == {("keyboard_1", "monitor_1"), ("monitor_1", "keyboard_1")}
     assert not pairs(edges, "above")
 
 
@@ -115,6 +132,192 @@ def test_a_shelf_board_over_a_sofa_is_above_it(rules: KnowledgeBase) -> None:
     edges = derived(rules, things, ROOM)
     assert pairs(edges, "above") == {("board_1", "sofa_1")}
     assert ("board_1", "plane_1") not in pairs(edges, "on")
+
+
+def test_a_picture_on_a_wall_is_fixed_to_it_and_on_nothing(rules: KnowledgeBase) -> None:
+    """Only its front and its rim are seen; a sofa stands below it, and a wall goes on behind both."""
+    picture = placed(surface(((0.0, 0.0, 0.25), (0.6, 0.03, 0.5)), faces=("x", "top")), (0.0, 0.022, 1.4))
+    front = placed(surface(((0.0, 0.0, 0.25), (0.6, 0.03, 0.5)), faces=("y",)), (0.0, 0.022, 1.4))
+    picture = Shape(np.concatenate([picture.points, front.points[front.points[:, 1] > 0.022]]), VOXEL)
+    things = {"picture_1": picture, "sofa_1": thing(box((2.0, 0.9, 0.8)), at=(0.0, 0.5, 0.0))}
+    edges = derived(rules, things, Plan(walls=[(-3.0, 0.0, 3.0, 0.0)]))
+    assert pairs(edges, "attached_to") == {("picture_1", "wall_0")}
+    assert pairs(edges, "on") == {("sofa_1", "plane_1")}, "a sofa before a wall stands on the floor, and is not fixed"
+    assert pairs(edges, "above") == {("picture_1", "sofa_1")} or not pairs(edges, "above")
+    assert not pairs(edges, "hanging_from")
+
+
+def test_a_cabinet_fixed_to_a_wall_that_does_not_reach_so_far_is_not_fixed(rules: KnowledgeBase) -> None:
+    cabinet = {"cabinet_1": thing(box((0.8, 0.34, 0.6)), at=(0.0, 0.19, 1.45))}
+    assert pairs(derived(rules, cabinet, Plan(walls=[(-3.0, 0.0, 3.0, 0.0)])), "attached_to")
+    assert not pairs(derived(rules, cabinet, Plan(walls=[(1.0, 0.0, 3.0, 0.0)])), "attached_to")
+    away = {"cabinet_1": thing(box((0.8, 0.34, 0.6)), at=(0.0, 0.3, 1.45))}
+    assert not pairs(derived(rules, away, Plan(walls=[(-3.0, 0.0, 3.0, 0.0)])), "attached_to")
+
+
+def test_a_towel_over_a_rail_is_fixed_to_the_oven_it_hangs_at(rules: KnowledgeBase) -> None:
+    things = {"oven_1": thing(box((0.6, 0.6, 0.9))), "towel_1": thing(box((0.3, 0.02, 0.4)), at=(0.0, 0.33, 0.45))}
+    edges = derived(rules, things, ROOM)
+    assert pairs(edges, "attached_to") == {("towel_1", "oven_1")}
+
+
+def test_a_lamp_hangs_from_the_ceiling_and_a_ladle_from_its_shelf(rules: KnowledgeBase) -> None:
+    lamp = [
+        ((0.0, 0.0, 0.4), (0.01, 0.01, 0.5)),
+        ((0.0, 0.0, 0.63), (0.1, 0.1, 0.04)),
+        ((0.0, 0.0, 0.1), (0.3, 0.3, 0.2)),
+    ]
+    things = {
+        "lamp_1": thing(*lamp, at=(1.0, 0.0, 1.74)),
+        "shelf_1": thing(box((0.8, 0.3, 0.03)), at=(0.0, 0.0, 1.5)),
+        "ladle_1": thing(((0.0, 0.0, 0.15), (0.03, 0.03, 0.3)), at=(0.2, 0.0, 1.19)),
+        "table_1": thing(*TABLE, at=(1.0, 0.0, 0.0)),
+    }
+    edges = derived(rules, things, Plan(ceilings={"plane_9": 2.4}))
+    assert pairs(edges, "hanging_from") == {("lamp_1", "plane_9"), ("ladle_1", "shelf_1")}
+    assert not {a for a, _ in pairs(edges, "on")} & {"lamp_1", "ladle_1"}
+    assert ("lamp_1", "table_1") in pairs(edges, "above")
+    pillar = {"pillar_1": thing(box((0.3, 0.3, 2.39)))}
+    assert not pairs(derived(rules, pillar, Plan(ceilings={"plane_9": 2.4})), "hanging_from"), "it stands"
+
+
+def test_a_handle_is_part_of_the_drawer_it_is_fixed_to(rules: KnowledgeBase) -> None:
+    things = {
+        "dresser_1": thing(box((0.9, 0.45, 0.8))),
+        "handle_1": thing(box((0.12, 0.02, 0.02)), at=(0.0, 0.245, 0.5)),
+        "handle_2": thing(box((0.12, 0.02, 0.02)), at=(0.0, 0.6, 0.0)),
+    }
+    edges = derived(rules, things, ROOM)
+    assert pairs(edges, "part_of") == {("handle_1", "dresser_1")}
+    assert ("handle_1", "dresser_1") in pairs(edges, "attached_to")
+
+
+def test_next_to_needs_the_same_support_and_nothing_between(rules: KnowledgeBase) -> None:
+    things = {
+        "table_1": thing(*TABLE),
+        "cup_1": placed(cup(), (-0.2, 0.0, 0.75)),
+        "cup_2": placed(cup(), (0.2, 0.0, 0.75)),
+        "stool_1": thing(*plate_on_legs(0.4, 0.4, 0.75), at=(0.0, 0.7, 0.0)),
+        "cup_3": placed(cup(), (0.1, 0.52, 0.75)),
+    }
+    edges = derived(rules, things, ROOM)
+    assert {pair for pair in pairs(edges, "next_to") if "cup" in pair[0]} == {("cup_1", "cup_2"), ("cup_2", "cup_1")}
+    assert ("stool_1", "table_1") in pairs(edges, "next_to")
+    assert ("cup_2", "cup_3") in pairs(edges, "near"), "but on another support"
+    things["jug_1"] = thing(box((0.1, 0.1, 0.2)), at=(0.0, 0.0, 0.75))
+    edges = derived(rules, things, ROOM)
+    assert ("cup_1", "cup_2") not in pairs(edges, "next_to")
+    assert {("cup_1", "jug_1"), ("cup_2", "jug_1")} <= pairs(edges, "next_to")
+
+
+def test_books_on_two_boards_of_a_shelf_are_not_next_to_each_other(rules: KnowledgeBase) -> None:
+    boards = [((0.0, 0.0, z), (0.9, 0.3, 0.025)) for z in (0.1, 0.5, 0.9)]
+    sides = [((x, 0.0, 0.5), (0.025, 0.3, 1.0)) for x in (-0.45, 0.45)]
+    things = {
+        "shelf_1": thing(*boards, *sides),
+        "book_1": thing(box((0.05, 0.18, 0.25)), at=(0.0, 0.0, 0.115)),
+        "book_2": thing(box((0.05, 0.18, 0.25)), at=(0.2, 0.0, 0.115)),
+        "book_3": thing(box((0.05, 0.18, 0.25)), at=(0.0, 0.0, 0.515)),
+    }
+    edges = derived(rules, things, ROOM)
+    assert pairs(edges, "next_to") == {("book_1", "book_2"), ("book_2", "book_1")}
+
+
+def test_two_rooms_back_to_back_share_nothing_but_the_wall(rules: KnowledgeBase) -> None:
+    """Pictures on both faces of one wall, shelves that stand against it on both sides, things on them."""
+    wall = [(-3.0, -0.05, 3.0, -0.05), (-3.0, 0.05, 3.0, 0.05)]
+    things = {
+        "shelf_1": thing(box((0.8, 0.3, 1.0)), at=(0.0, 0.22, 0.0)),
+        "shelf_2": thing(box((0.8, 0.3, 1.0)), at=(0.0, -0.22, 0.0)),
+        "cup_1": placed(cup(), (0.0, 0.22, 1.0)),
+        "cup_2": placed(cup(), (0.0, -0.22, 1.0)),
+        "picture_1": thing(box((0.5, 0.02, 0.4)), at=(0.0, 0.07, 1.3)),
+        "picture_2": thing(box((0.5, 0.02, 0.4)), at=(0.0, -0.07, 1.3)),
+    }
+    shares = {name: {"room_1" if name.endswith("1") else "room_2": 1.0} for name in things}
+    edges = derived(rules, things, Plan(walls=wall), shares)
+    across = {
+        (relation, a, b)
+        for relation, a, b in edges
+        if not b.startswith(("room", "plane", "wall"))
+        and not a.startswith(("room", "plane", "wall"))
+        and a[-1] != b[-1]
+    }
+    assert {relation for relation, _, _ in across} <= {"touching"}
+    assert pairs(edges, "attached_to") >= {("picture_1", "wall_1"), ("picture_2", "wall_0")}
+    assert {(a, b) for a, b in pairs(edges, "in") if b.startswith("room")} == {
+        (name, "room_" + name[-1]) for name in things
+    }
+
+
+def test_a_long_table_across_an_open_boundary_is_in_one_room_with_what_stands_on_it(rules: KnowledgeBase) -> None:
+    """60 % of it lie in the kitchen; the bowl in its middle straddles the border, the vase at its end does not."""
+    things = {
+        "table_1": thing(*plate_on_legs(3.0, 0.9, 0.75)),
+        "bowl_1": thing(box((0.3, 0.3, 0.1)), at=(0.25, 0.0, 0.75)),
+        "vase_1": thing(box((0.1, 0.1, 0.3)), at=(1.3, 0.0, 0.75)),
+    }
+    shares = {
+        name: {
+            "room_1": float(np.mean(s.ground_samples[:, 0] < 0.3)),
+            "room_2": float(np.mean(s.ground_samples[:, 0] >= 0.3)),
+        }
+        for name, s in things.items()
+    }
+    edges = derived(rules, things, ROOM, shares)
+    rooms = {(a, b) for a, b in pairs(edges, "in") if b.startswith("room")}
+    assert rooms == {("table_1", "room_1"), ("bowl_1", "room_1"), ("vase_1", "room_2")}
+    assert pairs(edges, "on") == {("table_1", "plane_1"), ("bowl_1", "table_1"), ("vase_1", "table_1")}
+
+
+def test_storeys_part_what_no_slab_was_seen_between(rules: KnowledgeBase) -> None:
+    things = {"oven_1": thing(box((0.6, 0.6, 0.9))), "bed_1": thing(box((2.0, 1.4, 0.5)), at=(0.2, 0.0, 2.7))}
+    unseen_slab = Plan(floors={"plane_1": 0.0, "plane_2": 2.7})
+    assert not pairs(derived(rules, things, unseen_slab), "above")
+    answer = rules.ask("above(bed, oven)", explain=True)
+    assert answer.truth == "false"
+    assert answer.explanation is not None
+    assert "same_storey 0" in answer.explanation.text
+
+
+def test_a_footing_that_was_completed_is_less_sure_than_one_that_was_seen(rules: KnowledgeBase) -> None:
+    counter = thing(box((1.2, 0.6, 0.9)))
+    hidden = {"counter_1": counter, "bottle_1": thing(box((0.08, 0.08, 0.16)), at=(0.0, 0.0, 1.02))}
+    seen = {"counter_1": counter, "bottle_1": thing(box((0.08, 0.08, 0.28)), at=(0.0, 0.0, 0.9))}
+    edge = ("on", "bottle_1", "counter_1")
+    assert judged(rules, seen, ROOM)[edge] > 0.9
+    assert judged(rules, hidden, Plan(seen_free_everywhere=False))[edge] <= 0.75
+
+
+EVERY_STORED = {
+    "on", "supports", "in", "contains", "above", "under", "near", "next_to", "touching", "attached_to", "hanging_from",
+    "part_of",
+}  # fmt: skip
+
+
+def test_every_derived_edge_can_say_why(rules: KnowledgeBase) -> None:
+    """One world in which each stored relation holds; each edge explains itself with its value and threshold."""
+    things = {
+        "table_1": thing(*TABLE),
+        "cup_1": placed(cup(), (0.2, 0.0, 0.75)),
+        "spoon_1": placed(surface(((0.0, 0.0, 0.085), (0.012, 0.012, 0.15)), step=0.008), (0.2, 0.0, 0.75)),
+        "book_1": thing(box((0.25, 0.18, 0.04)), at=(-0.2, 0.0, 0.75)),
+        "picture_1": thing(box((0.5, 0.02, 0.4)), at=(0.0, 0.67, 1.5)),
+        "lamp_1": thing(box((0.2, 0.2, 0.6)), at=(0.0, 0.0, 1.79)),
+        "dresser_1": thing(box((0.9, 0.45, 0.8)), at=(1.3, 0.0, 0.0)),
+        "handle_1": thing(box((0.12, 0.02, 0.02)), at=(1.3, 0.245, 0.5)),
+    }
+    plan = Plan(walls=[(-3.0, 0.69, 3.0, 0.69)], ceilings={"plane_9": 2.4})
+    edges = judged(rules, things, plan, {name: {"room_1": 1.0} for name in things})
+    assert {relation for relation, _, _ in edges} == EVERY_STORED
+    for relation, a, b in edges:
+        reply = rules.ask(f"{relation}({a}, {b})", explain=True)
+        assert (reply.truth, reply.problem) == ("true", None), (relation, a, b)
+        assert reply.explanation is not None
+        [because] = reply.explanation.children
+        tests = because.tests or because.children[0].tests
+        assert tests, (relation, a, b)
+        assert all(test.threshold is not None for test in tests)
 
 
 def test_near_does_not_reach_through_a_wall(rules: KnowledgeBase) -> None:

@@ -57,6 +57,17 @@ def test_every_layer_is_the_same(home: World, again: World) -> None:
     assert again.status()["facts"] == home.status()["facts"]
 
 
+def test_relations_of_a_world_that_comes_back_see_its_space_and_its_structure(home: World, again: World) -> None:
+    points = np.random.default_rng(1).uniform((0.0, 0.0, 0.0), (6.4, 3.4, 2.4), (500, 3))
+    before, after = home.perception.building, again.perception.building
+    assert before.seen_free(points).any()
+    assert np.array_equal(after.seen_free(points), before.seen_free(points))
+    assert [after.between(p, q) for p, q in zip(points[::2], points[1::2], strict=True)] == [
+        before.between(p, q) for p, q in zip(points[::2], points[1::2], strict=True)
+    ]
+    assert after.storey(0.5) == before.storey(0.5) == 1
+
+
 def test_mapping_goes_on_with_the_same_ids(copy_home: Copy) -> None:
     world = copy_home()
     before = {n.id: n.label for layer in ("object", "room") for n in world.graph.nodes(layer)}

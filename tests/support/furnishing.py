@@ -169,7 +169,8 @@ def tell(
     rooms = sorted({room for of_rooms in (shares or {}).values() for room in of_rooms})
     layers = [
         *((n, "object") for n in things),
-        *((f, "structure") for f in (*around.floors, *around.ceilings, *(f"wall_{n}" for n in range(len(around.walls))))),
+        *((level, "structure") for level in (*around.floors, *around.ceilings)),
+        *((f"wall_{n}", "structure") for n in range(len(around.walls))),
         *((r, "room") for r in rooms),
     ]
     for name, layer in layers:
