@@ -179,7 +179,6 @@ whole_around(Part, Whole) :-
     whole(Next),
     ( Whole = Next ; whole_around(Next, Whole) ).
 
-
 signature(in_front_of(thing, thing), "before the second, for the viewer; without one, at its own front").
 signature(behind(thing, thing), "behind the second, for the viewer").
 signature(left_of(thing, thing), "left of the second, for the viewer").

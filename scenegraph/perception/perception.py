@@ -48,7 +48,7 @@ class Perception:
         self.objects.inherited = lambda shape: self.clusters.inherit(map_.clusters, shape)
         self.rooms = Rooms()
         self.passages = Passages()
-        self.building = Building(map_.planes, map_.occupancy, self.rooms.storey_number)
+        self.building = Building(map_.planes, map_.occupancy, self._storey_at)
         self.relations = Relations(meaning.is_container)
 
     def perceive(self, seen: MapChange, graph: SceneGraph, stamp_ns: int, source: str) -> GraphChanges:
@@ -186,8 +186,12 @@ class Perception:
             self.clusters.restore(document["clusters"], self._map, self.structure.labels, graph)
         self.relations.restore(document["relations"], self.objects.shapes)
         labelled = [(label, self._map.planes.plane(i)) for i, label in self.structure.labels.items()]
-        self.building = Building(self._map.planes, self._map.occupancy, self.rooms.storey_number)
+        self.building = Building(self._map.planes, self._map.occupancy, self._storey_at)
         self.building.update(labelled, ())
+
+    def _storey_at(self, z: float) -> int | None:
+        storey = self.rooms.storeys.at(z)
+        return None if storey is None else storey.number
 
     @staticmethod
     def _found(graph: SceneGraph, stamp_ns: int) -> GraphChanges:
