@@ -7,6 +7,7 @@ from scenegraph.graph.history import History
 from scenegraph.graph.mirror import Mirror
 from scenegraph.graph.node import LAYERS, Box, Layer, Node, Tombstone
 from scenegraph.graph.scene_graph import SceneGraph
+from scenegraph.graph.tables import EdgeTable, NodeTable
 from scenegraph.graph.values import Attributes, valid_identifier
 
 __all__ = [
@@ -17,12 +18,14 @@ __all__ = [
     "Edge",
     "EdgeChanges",
     "EdgeKey",
+    "EdgeTable",
     "GraphChanges",
     "History",
     "Layer",
     "Mirror",
     "Node",
     "NodeChanges",
+    "NodeTable",
     "SceneGraph",
     "Snapshot",
     "Tombstone",

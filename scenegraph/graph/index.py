@@ -1,42 +1,159 @@
-"""The graph's contents with their indexes: every look-up costs what it finds."""
+"""The graph's contents with their indexes: every look-up costs what it finds.
+
+What comes as a table stays one: its nodes and edges are made when they are asked for. What is put later is kept by
+value beside it, and crosses out the row that it replaces.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Self
+
+import numpy as np
 
 from scenegraph.graph.edge import Edge, EdgeKey
-from scenegraph.graph.node import Node
+from scenegraph.graph.node import LAYERS, Node
+from scenegraph.graph.stored_edges import StoredEdges
+from scenegraph.graph.tables import EdgeTable, NodeTable
 
-__all__ = ["GraphIndex"]
+__all__ = ["GraphIndex", "NodeIndex"]
 
 _ByPair = dict[tuple[str, str], Edge]
 _ByEnd = dict[str, dict[str, dict[str, Edge]]]  # one end -> relation -> the other end -> edge
+_Names = dict[str, dict[str, None]]
+
+
+class NodeIndex(Mapping[str, Node]):
+    """Nodes by id, oldest first, each in a slot of its own; nodes of a table have their row as slot."""
+
+    def __init__(self, table: NodeTable | None = None) -> None:
+        self.table = table
+        self.slot_of: dict[str, int] = {} if table is None else dict(zip(table.ids, range(len(table)), strict=True))
+        self.n_slots = len(self.slot_of)
+        self._made: list[Node | None] = [None] * self.n_slots
+        self._n_unmade = self.n_slots
+        self._free: list[int] = []
+
+    def copy(self) -> Self:
+        other = type(self).__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        other.slot_of, other._made, other._free = self.slot_of.copy(), self._made.copy(), self._free.copy()
+        return other
+
+    def __getitem__(self, node_id: str) -> Node:
+        return self.at(self.slot_of[node_id])
+
+    def at(self, slot: int) -> Node:
+        """The node in a slot that is taken."""
+        node = self._made[slot]
+        if node is None:
+            assert self.table is not None
+            node = self._made[slot] = self.table[slot]
+            self._n_unmade -= 1
+        return node
+
+    def many(self, slots: list[int]) -> list[Node]:
+        """The nodes in these slots, made together."""
+        if self._n_unmade:
+            made = self._made
+            missing = [slot for slot in slots if made[slot] is None]
+            if missing:
+                assert self.table is not None
+                for slot, node in zip(missing, self.table.rows(np.array(missing)), strict=True):
+                    made[slot] = node
+                self._n_unmade -= len(missing)
+        return [self._made[slot] for slot in slots]  # type: ignore[misc]
+
+    def is_made(self, slot: int) -> bool:
+        """Whether the node in a slot is a value already, rather than a row of the table."""
+        return self._made[slot] is not None
+
+    def put(self, node: Node) -> None:
+        slot = self.slot_of.get(node.id)
+        if slot is None:
+            slot = self._free.pop() if self._free else self.n_slots
+            if slot == self.n_slots:
+                self._made.append(None)
+                self.n_slots += 1
+            self.slot_of[node.id] = slot
+        elif self._made[slot] is None:
+            self._n_unmade -= 1
+        self._made[slot] = node
+
+    def drop(self, node_id: str) -> Node:
+        node = self[node_id]
+        slot = self.slot_of.pop(node_id)
+        self._made[slot] = None
+        if self.table is None or slot >= len(self.table):
+            self._free.append(slot)  # a row's slot is never given to another: edges of the table name it
+        return node
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.slot_of)
+
+    def __len__(self) -> int:
+        return len(self.slot_of)
+
+    def __contains__(self, node_id: object) -> bool:
+        return node_id in self.slot_of
+
+    def all(self) -> list[Node]:
+        """All nodes, oldest first."""
+        return self.many(list(self.slot_of.values()))
 
 
 class GraphIndex:
     """Nodes by id, layer and label; edges by relation, source and target. Knows no rules: what is put, is in."""
 
-    def __init__(self) -> None:
-        self.nodes: dict[str, Node] = {}
-        self._by_layer: dict[str, dict[str, None]] = {}
-        self._by_label: dict[str, dict[str, None]] = {}
+    def __init__(self, nodes: NodeTable | None = None, edges: EdgeTable | None = None) -> None:
+        self.nodes = NodeIndex(nodes)
+        self._by_layer: _Names = {}
+        self._by_label: _Names = {}
         self._by_relation: dict[str, _ByPair] = {}
         self._by_source: _ByEnd = {}
         self._by_target: _ByEnd = {}
-        self.n_edges = 0
+        self._stored = None if edges is None else StoredEdges(edges)
+        self.n_edges = 0 if self._stored is None else len(self._stored)
+        if nodes is not None:
+            for index, names, code in (
+                (self._by_layer, LAYERS, nodes.layer),
+                (self._by_label, nodes.labels, nodes.label),
+            ):
+                ids = np.array(nodes.ids, object)[np.argsort(code, kind="stable")]
+                ends = np.cumsum(np.bincount(code, minlength=len(names))).tolist()
+                for name, start, end in zip(names, [0, *ends], ends, strict=False):
+                    if start < end:
+                        index[name] = dict.fromkeys(ids[start:end].tolist())
+
+    def copy(self) -> Self:
+        """Another index with the same contents, which changes on its own."""
+        other = type(self).__new__(type(self))
+        other.nodes = self.nodes.copy()
+        other._by_layer = {name: ids.copy() for name, ids in self._by_layer.items()}
+        other._by_label = {name: ids.copy() for name, ids in self._by_label.items()}
+        other._by_relation = {name: pairs.copy() for name, pairs in self._by_relation.items()}
+        other._by_source, other._by_target = (
+            {here: {name: there.copy() for name, there in at.items()} for here, at in index.items()}
+            for index in (self._by_source, self._by_target)
+        )
+        other._stored = None if self._stored is None else self._stored.copy()
+        other.n_edges = self.n_edges
+        return other
+
+    # -- nodes --------------------------------------------------------------------------------------------------------
 
     def put_node(self, node: Node) -> None:
         old = self.nodes.get(node.id)
         if old is not None and (old.label != node.label or old.layer != node.layer):
             self._unlist(old)
             old = None
-        self.nodes[node.id] = node
+        self.nodes.put(node)
         if old is None:
             self._by_layer.setdefault(node.layer, {})[node.id] = None
             self._by_label.setdefault(node.label, {})[node.id] = None
 
     def drop_node(self, node_id: str) -> None:
-        self._unlist(self.nodes.pop(node_id))
+        self._unlist(self.nodes.drop(node_id))
 
     def _unlist(self, node: Node) -> None:
         for index, name in ((self._by_layer, node.layer), (self._by_label, node.label)):
@@ -44,7 +161,25 @@ class GraphIndex:
             if not index[name]:
                 del index[name]
 
+    def find_nodes(self, layer: str | None, label: str | None) -> list[Node]:
+        if layer is None and label is None:
+            return self.nodes.all()
+        if label is None:
+            return self._named(self._by_layer.get(layer or "", ()))
+        labelled = self._named(self._by_label.get(label, ()))
+        return labelled if layer is None else [node for node in labelled if node.layer == layer]
+
+    def _named(self, ids: Iterable[str]) -> list[Node]:
+        slot_of = self.nodes.slot_of
+        return self.nodes.many([slot_of[node_id] for node_id in ids])
+
+    def labels(self) -> list[str]:
+        return list(self._by_label)
+
+    # -- edges --------------------------------------------------------------------------------------------------------
+
     def put_edge(self, edge: Edge) -> None:
+        self._drop_stored(edge.key)
         pairs = self._by_relation.setdefault(edge.relation, {})
         pair = (edge.source, edge.target)
         self.n_edges += pair not in pairs
@@ -54,6 +189,8 @@ class GraphIndex:
 
     def drop_edge(self, key: EdgeKey) -> None:
         relation, source, target = key
+        if self._drop_stored(key):
+            return
         pairs = self._by_relation[relation]
         del pairs[source, target]
         if not pairs:
@@ -67,44 +204,75 @@ class GraphIndex:
                     del index[here]
         self.n_edges -= 1
 
-    def find_nodes(self, layer: str | None, label: str | None) -> list[Node]:
-        if layer is None and label is None:
-            return list(self.nodes.values())
-        if label is None:
-            return [self.nodes[i] for i in self._by_layer.get(layer or "", ())]
-        labelled = [self.nodes[i] for i in self._by_label.get(label, ())]
-        return labelled if layer is None else [node for node in labelled if node.layer == layer]
-
     def edge(self, relation: str, source: str, target: str) -> Edge | None:
         pairs = self._by_relation.get(relation)
-        return None if pairs is None else pairs.get((source, target))
+        edge = None if pairs is None else pairs.get((source, target))
+        if edge is None and self._stored is not None:
+            row = self._stored_row(relation, source, target)
+            return None if row < 0 else self._stored.made(np.array([row]))[0]
+        return edge
 
     def find_edges(self, relation: str | None, source: str | None, target: str | None) -> list[Edge]:
         if source is None and target is None:
             if relation is not None:
-                return list(self._by_relation.get(relation, {}).values())
+                stored = [] if self._stored is None else self._stored.made(self._stored.rows_of(relation))
+                return [*stored, *self._by_relation.get(relation, {}).values()]
             return list(self.all_edges())
         if source is not None and target is not None:
-            relations = (relation,) if relation is not None else tuple(self._by_source.get(source, ()))
+            relations = (relation,) if relation is not None else self._relations_from(source)
             found = (self.edge(name, source, target) for name in relations)
             return [edge for edge in found if edge is not None]
-        by_relation = self._by_source.get(source, {}) if source is not None else self._by_target.get(target or "", {})
-        if relation is not None:
-            return list(by_relation.get(relation, {}).values())
-        return [edge for there in by_relation.values() for edge in there.values()]
+        if source is not None:
+            return [*self._stored_at(source, relation, begins=True), *_at(self._by_source.get(source), relation)]
+        return [
+            *self._stored_at(target or "", relation, begins=False),
+            *_at(self._by_target.get(target or ""), relation),
+        ]
 
     def all_edges(self) -> Iterator[Edge]:
+        if self._stored is not None:
+            yield from self._stored
         for pairs in self._by_relation.values():
             yield from pairs.values()
 
     def edges_of(self, node_id: str) -> Iterator[Edge]:
         """Every edge that begins or ends at the node (none does both)."""
-        for index in (self._by_source, self._by_target):
-            for there in index.get(node_id, {}).values():
-                yield from there.values()
+        for begins, index in ((True, self._by_source), (False, self._by_target)):
+            yield from self._stored_at(node_id, None, begins=begins)
+            yield from _at(index.get(node_id), None)
 
     def relations(self) -> list[str]:
-        return list(self._by_relation)
+        stored = [] if self._stored is None else self._stored.relations()
+        return list(dict.fromkeys([*stored, *self._by_relation]))
 
-    def labels(self) -> list[str]:
-        return list(self._by_label)
+    def _relations_from(self, source: str) -> tuple[str, ...]:
+        stored = {} if self._stored is None else dict.fromkeys(self._stored.relations())
+        return tuple({**stored, **dict.fromkeys(self._by_source.get(source, ()))})
+
+    def _stored_at(self, node_id: str, relation: str | None, *, begins: bool) -> list[Edge]:
+        slot = self.nodes.slot_of.get(node_id)
+        if self._stored is None or slot is None:
+            return []
+        rows = self._stored.rows_from(slot, relation) if begins else self._stored.rows_to(slot, relation)
+        return self._stored.made(rows)
+
+    def _stored_row(self, relation: str, source: str, target: str) -> int:
+        slot_of = self.nodes.slot_of
+        a, b = slot_of.get(source), slot_of.get(target)
+        return -1 if self._stored is None or a is None or b is None else self._stored.find(relation, a, b)
+
+    def _drop_stored(self, key: EdgeKey) -> bool:
+        """Cross out the row of an edge, if it has one."""
+        row = self._stored_row(*key)
+        if row < 0 or self._stored is None:
+            return False
+        self._stored.drop(row)
+        self.n_edges -= 1
+        return True
+
+
+def _at(relations: Mapping[str, Mapping[str, Edge]] | None, relation: str | None) -> Iterator[Edge]:
+    """The edges at one end, of one relation if asked."""
+    if relations:
+        for there in relations.values() if relation is None else (relations.get(relation, {}),):
+            yield from there.values()

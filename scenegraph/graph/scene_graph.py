@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, Self
 
 import networkx as nx
+import numpy as np
+from numpy.typing import ArrayLike
 
-from scenegraph.errors import InvariantViolated, RevisionGap, UnknownNode, nearest
+from scenegraph.errors import InvalidGraphValue, InvariantViolated, RevisionGap, UnknownNode, nearest
 from scenegraph.graph.delta import Delta, EdgeChanges, GraphChanges, NodeChanges, NodeDeletion, Snapshot
 from scenegraph.graph.edge import Edge, EdgeKey
 from scenegraph.graph.history import Change, History, Undo
 from scenegraph.graph.index import GraphIndex
 from scenegraph.graph.invariants import check_edges_have_ends, check_layers_stay, check_no_edge_is_left
 from scenegraph.graph.node import Layer, Node, Tombstone
+from scenegraph.graph.spatial import SpatialIndex
+from scenegraph.graph.tables import EdgeTable, NodeTable
 
 __all__ = ["SceneGraph"]
 
@@ -29,6 +33,7 @@ class SceneGraph:
 
     def __init__(self, *, history_limit: int = 100_000) -> None:
         self._index = GraphIndex()
+        self._space: SpatialIndex | None = None
         self._tombstones: dict[str, Tombstone] = {}
         self._history = History(history_limit)
         self._revision = 0
@@ -62,6 +67,31 @@ class SceneGraph:
     def edges_of(self, node_id: str) -> list[Edge]:
         """Every edge that begins or ends at the node."""
         return list(self._index.edges_of(node_id))
+
+    def within(self, p_map: ArrayLike, radius_m: float, layer: Layer | None = None) -> list[tuple[Node, float]]:
+        """The nodes within reach of a point (3,) [m], and how far off they are, nearest first.
+
+        The distance is that to the oriented box, 0 inside; a node without a box is a point. The cost depends on what
+        is there; the first question of this kind builds an index that every change then keeps.
+        """
+        p = np.array(p_map, dtype=np.float64)
+        if p.shape != (3,) or not np.isfinite(p).all() or not radius_m >= 0.0:
+            raise InvalidGraphValue(f"within: expected a point (3,) and a radius ≥ 0, got {p_map!r} and {radius_m!r}")
+        slots, distances = self._places.within(p, radius_m, layer)
+        return list(zip(self._index.nodes.many(slots), distances, strict=True))
+
+    def in_box(self, low: ArrayLike, high: ArrayLike, layer: Layer | None = None) -> list[Node]:
+        """The nodes whose oriented boxes have a point between two corners (3,) [m]; the cost is that of `within`."""
+        a, b = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
+        if a.shape != (3,) or b.shape != (3,) or not (a <= b).all():
+            raise InvalidGraphValue(f"in_box: expected a lower and a higher corner (3,), got {low!r} and {high!r}")
+        return self._index.nodes.many(self._places.in_box(a, b, layer).tolist())
+
+    @property
+    def _places(self) -> SpatialIndex:
+        if self._space is None:
+            self._space = SpatialIndex(self._index.nodes)
+        return self._space
 
     def node(self, node_id: str) -> Node:
         """The node of this id. Raises UnknownNode, whose hint says what became of it, or names the nearest ids."""
@@ -120,7 +150,7 @@ class SceneGraph:
         return False
 
     def __iter__(self) -> Iterator[Node]:
-        return iter(self._index.nodes.values())
+        return iter(self._index.nodes.all())
 
     def __bool__(self) -> bool:
         return True  # an empty graph is still a graph: `graph or default` must not drop it
@@ -304,7 +334,11 @@ class SceneGraph:
         for node_id, node in after.nodes.items():
             if node is not None:
                 index.put_node(node)
+                if self._space is not None:
+                    self._space.put(index.nodes.slot_of[node_id], node)
             elif node_id in index.nodes:
+                if self._space is not None:
+                    self._space.drop(index.nodes.slot_of[node_id])
                 index.drop_node(node_id)
         for node_id, stone in after.tombstones.items():
             self._tombstones.pop(node_id, None)
@@ -320,7 +354,9 @@ class SceneGraph:
         Raises HistoryUnavailable when the time lies before the remembered past.
         """
         steps = self._history.since(stamp_ns, self._revision, self._stamp_ns)
-        graph = SceneGraph.from_snapshot(self.snapshot(), history_limit=self._history.limit)
+        graph = SceneGraph(history_limit=self._history.limit)
+        graph._index, graph._tombstones = self._index.copy(), self._tombstones.copy()
+        graph._revision, graph._stamp_ns = self._revision, self._stamp_ns
         for undo in steps:
             graph._install(undo.before)
             graph._revision = undo.revision - 1
@@ -332,10 +368,35 @@ class SceneGraph:
         return Snapshot.model_construct(
             revision=self._revision,
             stamp_ns=self._stamp_ns,
-            nodes=tuple(self._index.nodes.values()),
+            nodes=tuple(self._index.nodes.all()),
             edges=tuple(self._index.all_edges()),
             tombstones=tuple(self._tombstones.values()),
         )
+
+    @classmethod
+    def from_tables(
+        cls,
+        nodes: NodeTable,
+        edges: EdgeTable | None = None,
+        *,
+        revision: int = 1,
+        stamp_ns: int | None = None,
+        tombstones: Iterable[Tombstone] = (),
+        history_limit: int = 100_000,
+    ) -> Self:
+        """A graph of many nodes and edges at once, whose past begins here; the edges' table is one of the nodes' ids.
+
+        The tables are kept as they are, and a node or edge is made when it is asked for. Without `stamp_ns` the graph
+        is as old as what was seen last. Raises InvariantViolated when the tables are not a consistent graph.
+        """
+        if edges is not None and edges.ids is not nodes.ids and edges.ids != nodes.ids:
+            raise InvariantViolated("the tables of edges and nodes differ in their nodes")
+        graph = cls(history_limit=history_limit)
+        graph._index = GraphIndex(nodes, edges)
+        graph._tombstones = {stone.id: stone for stone in tombstones}
+        graph._revision = revision
+        graph._stamp_ns = int(nodes.last_seen_ns.max(initial=0)) if stamp_ns is None else stamp_ns
+        return graph
 
     @classmethod
     def from_snapshot(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from functools import cache
 from typing import Annotated, Any, NoReturn, Self
 
 import numpy as np
@@ -21,8 +22,9 @@ from pydantic import (
 
 from scenegraph.errors import InvalidGraphValue, one_line, shown
 
-__all__ = ["Attributes", "Identifier", "Quaternion", "Value", "Vector3", "valid_identifier"]
+__all__ = ["Attributes", "Identifier", "Quaternion", "Value", "Vector3", "plain_attributes", "valid_identifier"]
 
+_set = object.__setattr__
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*")
 
 Identifier = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_length=128)]
@@ -32,6 +34,11 @@ Identifier = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_
 def valid_identifier(text: str) -> bool:
     """Whether `text` can be an id or the name of a relation."""
     return len(text) <= 128 and _IDENTIFIER.fullmatch(text) is not None
+
+
+@cache
+def _fields(kind: type[BaseModel]) -> set[str]:
+    return set(kind.model_fields)
 
 
 class Value(BaseModel):
@@ -56,6 +63,16 @@ class Value(BaseModel):
             raise InvalidGraphValue(one_line(error, type(self).__name__)) from None
 
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # values inside values skip the detour above
+
+    @classmethod
+    def trusted(cls, fields: dict[str, Any]) -> Self:
+        """The value of these fields: all of them, checked before and of their final types. Takes the dict over."""
+        value = cls.__new__(cls)
+        _set(value, "__dict__", fields)
+        _set(value, "__pydantic_fields_set__", _fields(cls))
+        _set(value, "__pydantic_extra__", None)
+        _set(value, "__pydantic_private__", None)
+        return value
 
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> Self:
@@ -169,7 +186,8 @@ def _plain(value: Any, path: str) -> Any:
     raise ValueError(f"{path}: expected a JSON value (text, number, truth value, list, mapping), got {shown(value)}")
 
 
-def _attributes(given: Any) -> Attributes:
+def plain_attributes(given: Any) -> Attributes:
+    """`given` as attributes, copied; raises ValueError when it is not a mapping of plain JSON values."""
     if type(given) is Attributes:
         return given
     if not isinstance(given, dict | Mapping):
@@ -191,7 +209,7 @@ Quaternion = Annotated[NDArray[np.float64], PlainValidator(_quaternion), _as_lis
 
 PlainAttributes = Annotated[
     Attributes,
-    PlainValidator(_attributes),
+    PlainValidator(plain_attributes),
     PlainSerializer(dict, return_type=dict[str, Any]),
     WithJsonSchema({"type": "object"}),
 ]
