@@ -54,6 +54,8 @@ FADED_WEIGHT = 0.01
 """A voxel that holds less than this as it fades is forgotten."""
 COUNTERS = 2
 """Instances that a voxel counts votes for, one by one."""
+TINT_STEP = 4
+"""Every so many-th row and column of an image tells the colours of instances."""
 SPARSE_RANGE_M = 5.0
 """Every other row and column of an image is enough where that leaves a pixel a voxel at this distance."""
 
@@ -68,6 +70,8 @@ class Instance:
     splits  images in which a second mask lay on it
     labels  class id → votes (about: full views)
     slots   blocks in which it may have voxels
+    tint    mean red, green and blue (3,), 0 … 255, of the pixels of its masks, with how many [thousands] they are worth
+            (4,); all 0 where images had no colour
     """
 
     id: int
@@ -79,6 +83,7 @@ class Instance:
     splits: int = 0
     labels: dict[int, float] = field(default_factory=dict)
     slots: set[int] = field(default_factory=set)
+    tint: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
     @property
     def label(self) -> int:
@@ -90,17 +95,32 @@ class Instance:
         return self.labels[self.label] / sum(self.labels.values())
 
 
+@dataclass(frozen=True, eq=False)
+class Masks:
+    """Whose the pixels of an image are.
+
+    pieces   (H, W) int32: 1 … n on masks, 0 elsewhere
+    labels   (H, W) uint16: class ids of pixels to be believed, 0 elsewhere
+    instance (n + 1,) the instance that each mask is, 0 for none; the first is 0
+    """
+
+    pieces: Array
+    labels: Array
+    instance: Array
+
+
 @dataclass(frozen=True)
 class InstanceChange:
     """Instances that got or lost voxels, and those that were merged: lost id → kept id.
 
     A touched instance that the map does not know any more has been given up. `split`: instance → the one that it was
-    part of.
+    part of. `masks`: of the image that brought the change, where it had any.
     """
 
     touched: frozenset[int]
     merged: dict[int, int]
     split: dict[int, int] = field(default_factory=dict)
+    masks: Masks | None = None
 
 
 class InstanceMap(PackedLayer):
@@ -132,10 +152,12 @@ class InstanceMap(PackedLayer):
         T_map_camera: SE3,
         stamp_ns: int,
         weights: Array | None = None,
+        color: Array | None = None,
     ) -> InstanceChange:
         """Join the pieces of one image to lasting instances and count their votes.
 
         depth_m (H, W) float32 [m]; weights (H, W) float32: what `seen.weights` gave for it, if that is there already
+        color   (H, W, 3) uint8
         """
         store = self.store
         cells, owners, pixels, votes, offsets, blocks, bare = kernels.trace(
@@ -157,8 +179,11 @@ class InstanceMap(PackedLayer):
         touched = self._vote(cells, np.array(numbers, np.uint16)[owners], votes, offsets)  # owner −1 is the last
         split = self._split(apart(overlaps, ids), ids, cells, owners)
         merged = self._merge(together)
+        if color is not None:
+            self._remember_tints(seen.pieces, ids, color)
         touched |= {*merged.values(), *split.values(), *self._give_up()}
-        return InstanceChange(frozenset(touched), merged, split)
+        ids = np.array([0, *(merged.get(i, i) for i in ids.tolist())])
+        return InstanceChange(frozenset(touched), merged, split, Masks(seen.pieces, seen.labels, ids))
 
     def _step(self, intrinsics: CameraIntrinsics) -> int:
         return 2 if self.voxel_size_m * min(intrinsics.fx, intrinsics.fy) >= 2.0 * SPARSE_RANGE_M else 1
@@ -223,6 +248,20 @@ class InstanceMap(PackedLayer):
         known.last_seen_ns = max(known.last_seen_ns, stamp_ns)
         known.views += 1
         known.labels[label] = known.labels.get(label, 0.0) + worth
+
+    def _remember_tints(self, pieces: Array, ids: Array, color: Array) -> None:
+        """Fold the mean colours of masks into those of their instances."""
+        some = (slice(TINT_STEP // 2, None, TINT_STEP),) * 2
+        piece = pieces[some].ravel()
+        inside = np.flatnonzero(piece)
+        piece, shades = piece[inside] - 1, color[some].reshape(-1, 3)[inside]
+        counts = np.bincount(piece, minlength=len(ids))
+        sums = np.stack([np.bincount(piece, shades[:, c], minlength=len(ids)) for c in range(3)], axis=1)
+        for at in np.flatnonzero((ids > 0) & (counts > 0)).tolist():
+            instance = self.instances.get(int(ids[at]))
+            if instance is not None:
+                worth = counts[at] * TINT_STEP**2 / 1000.0
+                instance.tint = _mixed(instance.tint, (*(sums[at] / counts[at]).tolist(), worth))
 
     def _begin(self, instance: Instance) -> Instance:
         self.instances[instance.id] = instance
@@ -290,6 +329,7 @@ class InstanceMap(PackedLayer):
         a.slots |= b.slots
         a.first_seen_ns, a.last_seen_ns = min(a.first_seen_ns, b.first_seen_ns), max(a.last_seen_ns, b.last_seen_ns)
         a.views += b.views
+        a.tint = _mixed(a.tint, b.tint)
         for label, votes in b.labels.items():
             a.labels[label] = a.labels.get(label, 0.0) + votes
 
@@ -306,6 +346,10 @@ class InstanceMap(PackedLayer):
     def forget(self, instance_id: int) -> None:
         """Give up an instance: its voxels become background until something is seen there again."""
         self._end(self.instances[instance_id], BACKGROUND)
+
+    def release(self, instance_id: int) -> None:
+        """Give up an instance that has gone: nothing is known of its voxels any more."""
+        self._end(self.instances[instance_id], 0)
 
     def fade(self, ijk: ArrayLike, gone: ArrayLike) -> dict[int, int]:
         """Votes in voxels (N, 3) count half; those `gone` (N,) bool, and those with little left, are forgotten.
@@ -337,6 +381,7 @@ class InstanceMap(PackedLayer):
             **super().state(),
             "table.next_id": np.array(self._next_id),
             "table.instances": np.array(rows, np.int64).reshape(-1, 7),
+            "table.tints": np.array([i.tint for i in known], np.float64).reshape(-1, 4),
             "table.votes": np.array(votes, np.float64).reshape(-1, 3),
             "table.together": np.array([(*pair, n) for pair, n in self._together.items()], np.int64).reshape(-1, 3),
         }
@@ -347,6 +392,8 @@ class InstanceMap(PackedLayer):
         layer._next_id = int(state["table.next_id"])
         for id_, first, last, views, doubts, number, splits in state["table.instances"].tolist():
             layer._begin(Instance(id_, first, last, views, doubts, number, splits))
+        for instance, tint in zip(layer.instances.values(), state["table.tints"].tolist(), strict=True):
+            instance.tint = tuple(tint)
         for id_, label, weight in state["table.votes"].tolist():
             layer.instances[int(id_)].labels[int(label)] = weight
         for a, b, n in state["table.together"].tolist():
@@ -435,6 +482,16 @@ class InstanceMap(PackedLayer):
         """Cells and rows (n,) of all records in the blocks of an instance."""
         cells = self.store.cells(np.sort(np.fromiter(instance.slots, np.int64, len(instance.slots))))
         return cells, self.store.rows(cells)
+
+
+def _mixed(
+    a: tuple[float, float, float, float], b: tuple[float, float, float, float]
+) -> tuple[float, float, float, float]:
+    """The colour of both together."""
+    worth = a[3] + b[3]
+    share = b[3] / worth if worth > 0.0 else 0.0
+    red, green, blue = (x + share * (y - x) for x, y in zip(a[:3], b[:3], strict=True))
+    return red, green, blue, worth
 
 
 def _answers(n: int) -> tuple[NDArray[np.uint16], NDArray[np.float32], NDArray[np.float32]]:

@@ -49,7 +49,7 @@ MOVING_RIM_PX = 3
 class MapChange:
     """What one observation changed on each floor of the map.
 
-    T_map_camera  an image's pose as the map corrected it
+    T_map_camera  an image's pose as the map corrected it;  view   what it saw from there
     bare_views    how many images without labels the observation is worth, 0 where it has labels
     """
 
@@ -60,6 +60,7 @@ class MapChange:
     moving: MovingChange = field(default_factory=MovingChange)
     T_map_camera: SE3 | None = None
     bare_views: int = 0
+    view: DepthView | None = None
 
 
 class LayeredMap:
@@ -150,14 +151,14 @@ class LayeredMap:
         T_map_camera = self._corrected(image, depth_m, T_map_camera)
         view = DepthView(depth_m, image.intrinsics, T_map_camera, self.max_range_m)
         occupancy = self.occupancy.integrate_view(view)
-        registered = image.color if image.T_depth_color is None and image.color_intrinsics is None else None
-        tsdf = self.tsdf.integrate_view(view, color=registered)
+        tsdf = self.tsdf.integrate_view(view, color=_registered_color(image))
         planes = self.planes.update(self.tsdf, tsdf)
         instances = self._vote(image, depth_m, T_map_camera, things)
         lost = self._clearing.update(view, self.occupancy, self.semantics, self.instances)
         instances = replace(instances, touched=instances.touched | lost)
         followed = self._follow(image, T_map_camera, moving)
-        return MapChange(occupancy, tsdf, planes, instances, followed, T_map_camera, int(image.labels is None))
+        bare_views = int(image.labels is None)
+        return MapChange(occupancy, tsdf, planes, instances, followed, T_map_camera, bare_views, view)
 
     def _still(self, image: RgbdImage, T_map_camera: SE3, moving: Array) -> Array:
         """The depth image without what moves: what is labelled so, and what is where something that is followed should
@@ -206,7 +207,9 @@ class LayeredMap:
         self.semantics.integrate_image(
             depth_m, seen.labels, weights, camera, T_map_camera, image.label_confidence, covariance
         )
-        return self.instances.integrate_image(seen, depth_m, camera, T_map_camera, image.stamp_ns, weights)
+        return self.instances.integrate_image(
+            seen, depth_m, camera, T_map_camera, image.stamp_ns, weights, _registered_color(image)
+        )
 
     def _near(self, depth_m: Array) -> Array:
         return np.where(depth_m < self.label_range_m, depth_m, np.float32(0.0))
@@ -232,6 +235,11 @@ class LayeredMap:
             near = np.linalg.norm(scan.points, axis=1) < self.max_range_m
             self.semantics.integrate(T_map_sensor @ scan.points[near], scan.labels[near])
         return MapChange(occupancy, tsdf, planes, bare_views=SWEEP_VIEWS if scan.labels is None else 0)
+
+
+def _registered_color(image: RgbdImage) -> Array | None:
+    """The colour (H, W, 3) of each pixel of the depth image, where both come from one camera."""
+    return image.color if image.T_depth_color is None and image.color_intrinsics is None else None
 
 
 def beside(mask: Array, pixels: int) -> Array:

@@ -339,6 +339,9 @@ def evaluate(
             show_default="0.05 when realistic, else 0",
         ),
     ] = None,
+    second_tour: Annotated[
+        bool, typer.Option("--second-tour", help="Then change each home and map it again: what becomes of its things?")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Map simulated homes and print figures against their truth."""
@@ -346,7 +349,9 @@ def evaluate(
 
     printer = Printer(json=as_json)
     with printer.progress("homes", seeds) as advance:
-        result = run(seeds, first_seed=first_seed, noise=noise, mislabelled=mislabelled, advance=advance)
+        result = run(
+            seeds, first_seed=first_seed, noise=noise, mislabelled=mislabelled, second_tour=second_tour, advance=advance
+        )
     if as_json:
         printer.document(result.as_json())
     else:

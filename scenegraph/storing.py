@@ -32,6 +32,7 @@ def save(world: World, path: Path) -> None:
                 "robots": [_robot(robot) for robot in world.robots.values()],
                 "statements": [statement.as_json() for statement in world.statements],
                 "perception": world.perception.document(),
+                "events": world.event_log.document(),
             },
         ),
     )
@@ -46,6 +47,7 @@ def load(kind: type[W], path: Path) -> W:
         world.map.restore(parts.layers)
         world.graph = SceneGraph.from_snapshot(parts.graph, history=documents["history"])
         world.labels.restore(documents["labels"])
+        world.event_log.restore(documents["events"])
         world.robots = {r["robot"]: RobotDescription(**r) for r in documents["robots"]}
         world.perception.restore(documents["perception"], parts.layers["rooms"], world.graph)
         world.statements = [read(**told, knowledge=world.meaning.knowledge) for told in documents["statements"]]

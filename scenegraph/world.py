@@ -27,7 +27,9 @@ from scenegraph.answers import Answers, Place, TellResult
 from scenegraph.config import WorldConfig
 from scenegraph.detections import DetectionDesk
 from scenegraph.errors import SceneGraphError
-from scenegraph.graph import Delta, GraphChanges, SceneGraph
+from scenegraph.events import Event, EventLog, events_of
+from scenegraph.graph import Delta, GraphChanges, Node, SceneGraph
+from scenegraph.graph.delta import NodeDeletion
 from scenegraph.labels import Labels
 from scenegraph.meaning import Meaning
 from scenegraph.perception.perception import Perception
@@ -58,6 +60,7 @@ class World:
         self.labels = Labels()
         self.robots: dict[str, RobotDescription] = {}
         self.statements: list[statements.Statement] = []
+        self.event_log = EventLog()
         self._knowledge = KnowledgeBase(self.config.rule_files)
         self.meaning = Meaning(self._knowledge, self.config)
         self.perception = Perception(self.map, self.labels, self.meaning)
@@ -134,7 +137,11 @@ class World:
         return None if self.config.moving == "fuse" else self.labels.moving
 
     def _commit(self, changes: GraphChanges, stamp_ns: int) -> Delta:
-        return self.graph.commit(changes, max(stamp_ns, self.graph.stamp_ns))
+        touched = {step.id for step in changes.steps if isinstance(step, Node | NodeDeletion)}
+        before = {node_id: self.graph.node(node_id) for node_id in touched if node_id in self.graph}
+        delta = self.graph.commit(changes, max(stamp_ns, self.graph.stamp_ns))
+        self.event_log.add(events_of(delta, before))
+        return delta
 
     # -- answers out --------------------------------------------------------------------------------------
     def ask(
@@ -163,6 +170,11 @@ class World:
             return TellResult(False, self.graph.revision, statements.problem(error))
         self.statements.append(told)
         return TellResult(True, self._commit(changes, told.stamp_ns).revision)
+
+    def events(self, since_ns: int | None = None) -> list[Event]:
+        """What happened to things, oldest first: *appeared, moved, vanished, merged, split, relabelled*, with when,
+        where and why; only what is stamped later than `since_ns`."""
+        return self.event_log.since(since_ns)
 
     def status(self) -> dict[str, Any]:
         """Sizes of every layer and of the graph, and the health of the reasoner."""

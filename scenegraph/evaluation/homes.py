@@ -10,6 +10,7 @@ from scenegraph.config import WorldConfig
 from scenegraph.evaluation.doors import judge_doors
 from scenegraph.evaluation.graph import judge_objects, judge_planes, judge_relations, judge_rooms
 from scenegraph.evaluation.result import Evaluation
+from scenegraph.evaluation.second_tour import take_second_tour
 from scenegraph.evaluation.semantics import judge_voxels
 from scenegraph.evaluation.views import ViewLog
 from scenegraph.simulation import Home, TruthRecorder, simulate_home
@@ -27,12 +28,14 @@ def evaluate(
     noise: Noise = "realistic",
     mislabelled: float | None = None,
     config: WorldConfig | None = None,
+    second_tour: bool = False,
     advance: Callable[[], object] | None = None,
 ) -> Evaluation:
     """Map `seeds` simulated homes, beginning with `first_seed`, and judge each against its truth.
 
     noise       *none*, *realistic*, or a `NoiseModel`
     mislabelled share of the things that get a wrong class in an image, drawn anew for each; instead of the noise's own
+    second_tour whether each home is then changed and mapped again, see `evaluation.second_tour`
     advance     called after each home
 
     Raises `InvalidParameter` on a noise that does not exist, or a share outside 0 … 1.
@@ -44,7 +47,9 @@ def evaluate(
         with World(config) as world:
             views = ViewLog(world.map.semantics.voxel_size_m, world.config.label_range_m)
             recorder, times = map_home(world, home, model, seed, views)
-            judge(world, home, recorder, result, views)
+            things = judge(world, home, recorder, result, views)
+            if second_tour:
+                take_second_tour(world, home, recorder, things, model, seed, result)
         result.seeds.append(seed)
         result.image_ms += times
         if advance is not None:
@@ -71,13 +76,19 @@ def map_home(
     return recorder, times[10:]
 
 
-def judge(world: World, home: Home, recorder: TruthRecorder, result: Evaluation, views: ViewLog | None = None) -> None:
-    """Add one home's counts to `result`; what single views say of it too, when they were taken down."""
+def judge(
+    world: World, home: Home, recorder: TruthRecorder, result: Evaluation, views: ViewLog | None = None
+) -> dict[str, str]:
+    """Add one home's counts to `result`; what single views say of it too, when they were taken down.
+
+    Returns node id → true id of the things that were found.
+    """
     countable = recorder.countable
     result.uncounted += [f"{home.seed}: {o.id}" for o in home.objects if o.id not in countable]
-    things = judge_objects(world, home, countable, result)
+    things = judge_objects(world, home, countable, result, confused=recorder.confused)
     rooms = judge_rooms(world, home, result)
     judge_doors(world, home, rooms, result)
     judge_relations(world, home, things | rooms, countable, result)
     judge_planes(world, home, recorder, result)
     result.notes += judge_voxels(world, home, recorder, result.semantics, views)
+    return things

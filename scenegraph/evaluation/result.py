@@ -43,11 +43,16 @@ class Evaluation:
 
     seeds: list[int] = field(default_factory=list)
     tallies: defaultdict[str, Tally] = field(default_factory=lambda: defaultdict(Tally))
+    shares: defaultdict[str, Tally] = field(default_factory=lambda: defaultdict(Tally))
     semantics: SemanticTally = field(default_factory=SemanticTally)
     image_ms: list[float] = field(default_factory=list)
     uncounted: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     noise: NoiseModel | None = None
+
+    def count(self, name: str, some: int, of_all: int) -> None:
+        """Add to a figure that is a share."""
+        self.shares[name].add(some, of_all, of_all)
 
     def figures(self) -> dict[str, float]:
         """Every figure by name."""
@@ -57,6 +62,7 @@ class Evaluation:
                 found[name] = tally.recall
             else:
                 found[f"{name}.precision"], found[f"{name}.recall"] = tally.precision, tally.recall
+        found |= {name: tally.right / tally.true for name, tally in sorted(self.shares.items()) if tally.true}
         found |= self.semantics.figures()
         if self.image_ms:
             found["image_ms.median"] = float(np.median(self.image_ms))

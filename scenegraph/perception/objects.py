@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.instances import InstanceChange, InstanceMap
+from mapping.instances import Instance, InstanceChange, InstanceMap
+from mapping.view import DepthView
 from scenegraph.errors import InvalidStatement
 from scenegraph.graph import GraphChanges, Node, SceneGraph
+from scenegraph.perception.presence import Presence
+from scenegraph.perception.reappearance import SAME_PLACE_M, Look, Reappearance
 from scenegraph.perception.shapes import Shape
 
 Array: TypeAlias = NDArray[Any]
@@ -18,6 +21,10 @@ Array: TypeAlias = NDArray[Any]
 LEAST_VIEWS = 3
 LEAST_VOXELS = 6
 """An instance becomes a node when it was seen in this many images and holds this many voxels."""
+MUCH_LARGER = 2.0
+"""Of two nodes that are one thing the older stays, unless the other has so many times its voxels."""
+KNOWN_S = 60.0
+"""What is seen first where other things have been known for so long was brought there."""
 MOVED_M = 0.01
 RESIZED_M = 0.02
 GROWN_SHARE = 0.10
@@ -38,42 +45,143 @@ class Objects:
         self.labels: dict[str, str] = {}
         self.inherited: Callable[[Shape], str | None] = lambda _: None
         """The id under which a thing that gets a name now has been known until now, if it has been."""
+        self.presence = Presence()
+        self.reappearance = Reappearance()
+        self._looks: dict[str, Look] = {}
         self._node_of: dict[int, str] = {}
+        self._instance_of: dict[str, int] = {}  # of things, not of structure
+        self._split_from: dict[int, int] = {}
 
     def is_node(self, instance_ids: Array) -> Array:
         """(N,) bool: whether the things behind these instance ids (N,) are nodes."""
         return np.isin(instance_ids, list(self._node_of))
 
     def update(
-        self, instances: InstanceMap, change: InstanceChange, graph: SceneGraph
-    ) -> tuple[GraphChanges, set[str]]:
-        """The changes that bring the graph up to date, and the ids of nodes whose shape is new, changed or gone."""
+        self, instances: InstanceMap, change: InstanceChange, graph: SceneGraph, view: DepthView | None = None,
+        stamp_ns: int = 0,
+    ) -> tuple[GraphChanges, set[str]]:  # fmt: skip
+        """The changes that bring the graph up to date, and the ids of nodes whose shape is new, changed or gone.
+
+        view : what the image saw that brought the change, so that things are looked for where it shows their places
+        """
         changes = GraphChanges()
         reshaped: set[str] = set()
         for lost, kept in change.merged.items():
-            if lost in self._node_of and kept not in self._node_of:
-                self._node_of[kept] = self._node_of.pop(lost)  # the older instance had no node yet: the node lives on
-                reshaped.add(self._node_of[kept])
+            told = change.masks is None
+            if self._voxels(lost) > (np.inf if told and kept in self._node_of else MUCH_LARGER * self._voxels(kept)):
+                name = self._disown(lost)
+                self._bury(kept, name, changes, reshaped)
+                self._own(kept, name)  # the node of the main part lives on
+                reshaped.add(name)
             else:
                 self._bury(lost, self._node_of.get(kept), changes, reshaped)
+        self._split_from.update(change.split)
+        doubted = self._look_for(instances, change, view, stamp_ns)
         for instance_id in sorted(change.touched - change.merged.keys()):
             if instance_id not in instances.instances:
-                self._bury(instance_id, None, changes, reshaped)
-                continue
-            self._refresh(instances, instance_id, graph, changes, reshaped)
+                self._depart(instance_id, instances, graph, stamp_ns, changes, reshaped)
+        for node_id in sorted(doubted & self._instance_of.keys()):
+            instance_id = self._instance_of[node_id]
+            if self._has_gone(node_id, instances.instances[instance_id], instances, graph):
+                instances.release(instance_id)
+                self._depart(instance_id, instances, graph, stamp_ns, changes, reshaped)
+        taken_over = {self._instance_of.get(step.id) for step in changes.steps if isinstance(step, Node)}
+        for instance_id in sorted(change.touched - change.merged.keys() - taken_over):
+            if instance_id in instances.instances:
+                self._refresh(instances, instance_id, graph, stamp_ns, changes, reshaped)
+        for node_id in sorted((doubted & self._instance_of.keys()) - reshaped):
+            instance_id = self._instance_of[node_id]
+            if instance_id not in change.touched and node_id in graph:
+                node = graph.node(node_id)
+                changes.put(node.replace(confidence=self._confidence(node_id, instances.instances[instance_id])))
+        for node_id in reshaped:
+            self.presence.place(node_id, self.shapes.get(node_id) if node_id in self._instance_of else None)
         return changes, reshaped
 
+    def _voxels(self, instance_id: int) -> int:
+        """Size of the node of an instance, 0 where it has none."""
+        node_id = self._node_of.get(instance_id)
+        return 0 if node_id is None or node_id not in self.shapes else len(self.shapes[node_id].points)
+
+    def _look_for(
+        self, instances: InstanceMap, change: InstanceChange, view: DepthView | None, stamp_ns: int
+    ) -> set[str]:
+        """Nodes of which an image made more or less sure by being looked for."""
+        if view is None:
+            return set()
+        shown = () if change.masks is None else np.unique(change.masks.instance).tolist()
+        known = instances.instances
+        sure = [i for i in shown if i in known and known[i].views >= LEAST_VIEWS]
+        here = {node_id: i for node_id, i in self._instance_of.items() if i in known}
+        missed, found = self.presence.look(view, change.masks, here, sure, stamp_ns)
+        return missed | found
+
     def _bury(self, lost: int, kept: str | None, changes: GraphChanges, reshaped: set[str]) -> None:
-        node_id = self._node_of.pop(lost, None)
-        if node_id is not None:
-            self.shapes.pop(node_id, None)
-            self.labels.pop(node_id, None)
-            changes.delete_node(node_id, "the same thing as another" if kept else "no longer seen", became=kept)
+        """The node of an instance is no more: it was another's, or is of another layer now."""
+        if lost in self._node_of:
+            node_id = self._disown(lost)
+            self._drop(node_id)
+            reason = "the same thing as another" if kept else "part of the building or not"
+            changes.delete_node(node_id, reason, became=kept)
             reshaped.add(node_id)
 
-    def _refresh(
-        self, instances: InstanceMap, instance_id: int, graph: SceneGraph, changes: GraphChanges, reshaped: set[str]
+    def _depart(
+        self, instance_id: int, instances: InstanceMap, graph: SceneGraph, stamp_ns: int, changes: GraphChanges,
+        reshaped: set[str],
+    ) -> None:  # fmt: skip
+        """The thing of an instance is where it was no more: it is one that appeared elsewhere since, or has gone."""
+        if instance_id not in self._node_of:
+            return
+        node_id = self._disown(instance_id)
+        look = self._looks.get(node_id)
+        self._drop(node_id)
+        reshaped.add(node_id)
+        node = graph.node(node_id) if node_id in graph else None
+        if node is not None and look is not None and node.layer == "object":
+            now = self.reappearance.where_is(node, look, self._newcomers(node.label, instances, graph))
+            if now is not None:
+                self._take_over(node, now, instances, changes, reshaped, stamp_ns)
+                return
+            self.reappearance.leave(node, look, stamp_ns)
+        changes.delete_node(node_id, "no longer seen")
+
+    def _has_gone(self, node_id: str, instance: Instance, instances: InstanceMap, graph: SceneGraph) -> bool:
+        """Whether a thing was looked for in vain often enough; once is, where it is seen elsewhere meanwhile."""
+        if self.presence.gone(node_id, instance.views):
+            return True
+        if self.presence.doubts.get(node_id, 0.0) < 1.0 or node_id not in graph:
+            return False
+        newcomers = self._newcomers(self.labels[node_id], instances, graph)
+        return self.reappearance.where_is(graph.node(node_id), self._looks[node_id], newcomers) is not None
+
+    def _newcomers(self, label: str, instances: InstanceMap, graph: SceneGraph) -> list[tuple[Node, Look]]:
+        """Nodes of a class that may be something known before, as they look now."""
+        return [
+            (graph.node(i), self._looks[i])
+            for i in self.reappearance.newcomers
+            if self.labels.get(i) == label and i in graph and self._instance_of.get(i) in instances.instances
+        ]
+
+    def _take_over(
+        self, node: Node, now: Node, instances: InstanceMap, changes: GraphChanges, reshaped: set[str], stamp_ns: int
     ) -> None:
+        """A node whose thing has gone lives on as one that appeared since: it was moved there."""
+        instance_id = self._instance_of[now.id]
+        self._disown(instance_id)
+        self.shapes[node.id], self.labels[node.id] = self.shapes[now.id], self.labels[now.id]
+        self._looks[node.id] = self._looks[now.id]
+        self._drop(now.id)
+        self._own(instance_id, node.id)
+        reshaped.add(now.id)
+        changes.put(
+            now_at(node, now, stamp_ns).replace(confidence=self._confidence(node.id, instances.instances[instance_id]))
+        )
+        changes.delete_node(now.id, "the same thing, moved", became=node.id)
+
+    def _refresh(
+        self, instances: InstanceMap, instance_id: int, graph: SceneGraph, stamp_ns: int, changes: GraphChanges,
+        reshaped: set[str],
+    ) -> None:  # fmt: skip
         instance = instances.instances[instance_id]
         if instance.views < LEAST_VIEWS:
             return
@@ -81,39 +189,80 @@ class Objects:
         shape = Shape.trimmed(points, weights, instances.voxel_size_m) if len(points) >= LEAST_VOXELS else None
         node_id = self._node_of.get(instance_id)
         if shape is None:
-            if node_id is not None:
-                self._bury(instance_id, None, changes, reshaped)
+            self._depart(instance_id, instances, graph, stamp_ns, changes, reshaped)
             return
         label = self._class_name(instance.label)
         structural = self._structural(label)
         if node_id is not None and structural != (graph.node(node_id).layer == "structure"):
             self._bury(instance_id, None, changes, reshaped)  # a node's layer never changes: it starts anew
             node_id = None
-        if node_id is None:
-            known = None if structural else self.inherited(shape)
-            node_id = self._node_of[instance_id] = known or self._name(instance_id, structural, graph)
-        if self.labels.get(node_id) != label:
-            self.labels[node_id] = label
-            reshaped.add(node_id)
-        before = self.shapes.get(node_id)
-        if before is None or significantly_different(before, shape):
-            self.shapes[node_id] = shape
-            reshaped.add(node_id)
-        else:
+        before = None if node_id is None else self.shapes.get(node_id)
+        if before is not None and not significantly_different(before, shape):
             shape = before
-        changes.put(
-            Node(
-                id=node_id,
-                layer="structure" if structural else "object",
-                label=label,
-                position=shape.box.center,
-                box=shape.box,
-                confidence=round(instance.label_share * min(1.0, instance.views / 5.0), 3),
-                first_seen_ns=instance.first_seen_ns,
-                last_seen_ns=instance.last_seen_ns,
-                attributes={"voxels": len(shape.points), "views": instance.views},
-            )
+        elif node_id is not None:
+            reshaped.add(node_id)
+        attributes: dict[str, Any] = {"voxels": len(shape.points), "views": instance.views}
+        node = Node(
+            id=node_id or (None if structural else self.inherited(shape)) or self._name(instance_id, structural, graph),
+            layer="structure" if structural else "object",
+            label=label,
+            position=shape.box.center,
+            box=shape.box,
+            first_seen_ns=instance.first_seen_ns,
+            last_seen_ns=instance.last_seen_ns,
+            attributes=attributes,
         )
+        look = Look.of(node, instance.tint)
+        if node_id is not None:
+            if node_id in graph:
+                node = node.replace(first_seen_ns=min(node.first_seen_ns, graph.node(node_id).first_seen_ns))
+        else:
+            node = self._arrive(node, look, instance_id, graph, stamp_ns)
+            reshaped.add(node.id)
+        if self.labels.get(node.id) != label:
+            reshaped.add(node.id)
+        self.shapes[node.id], self.labels[node.id], self._looks[node.id] = shape, label, look
+        changes.put(node.replace(confidence=self._confidence(node.id, instance)))
+
+    def _arrive(self, node: Node, look: Look, instance_id: int, graph: SceneGraph, stamp_ns: int) -> Node:
+        """A new node as what it is: a thing that was known before, part of another, or something new."""
+        known = self.reappearance.who_is(node, look, stamp_ns) if node.layer == "object" else None
+        if known is not None:
+            del self.reappearance.absent[known.node.id]
+            node = now_at(known.node, node, stamp_ns)
+        elif node.layer == "object" and self._was_known(node, graph):
+            self.reappearance.arrive(node, stamp_ns)
+        whole = self._node_of.get(self._split_from.pop(instance_id, 0))
+        if known is None and whole is not None:
+            node = node.replace(attributes={**node.attributes, "split_from": whole})
+        self.labels[node.id] = node.label
+        self._own(instance_id, node.id)
+        return node
+
+    def _was_known(self, node: Node, graph: SceneGraph) -> bool:
+        """Whether what is about a node was seen long before it: then it came there, and was not just found."""
+        beside = [n for n in self.presence.near(node.position) if n in graph and n != node.id]
+        since_ns = min((graph.node(n).first_seen_ns for n in beside), default=node.first_seen_ns)
+        return node.first_seen_ns - since_ns >= KNOWN_S * 1e9
+
+    def _confidence(self, node_id: str, instance: Instance) -> float:
+        seen = instance.label_share * min(1.0, instance.views / 5.0)
+        return round(seen * self.presence.faith(node_id), 3)
+
+    def _own(self, instance_id: int, node_id: str) -> None:
+        """Name an instance; the label of the node is known by now."""
+        self._node_of[instance_id] = node_id
+        if not self._structural(self.labels[node_id]):
+            self._instance_of[node_id] = instance_id
+
+    def _disown(self, instance_id: int) -> str:
+        node_id = self._node_of.pop(instance_id)
+        self._instance_of.pop(node_id, None)
+        return node_id
+
+    def _drop(self, node_id: str) -> None:
+        for about in (self.shapes, self.labels, self._looks, self.reappearance.newcomers):
+            about.pop(node_id, None)
 
     # -- what an operator states --------------------------------------------------------------------------
     def forget(self, node_id: str, instances: InstanceMap) -> set[str]:
@@ -122,7 +271,9 @@ class Objects:
         for instance_id, name in list(self._node_of.items()):
             if name == node_id:
                 instances.forget(instance_id)
-                del self._node_of[instance_id], self.shapes[node_id], self.labels[node_id]
+                self._disown(instance_id)
+                self._drop(node_id)
+                self.presence.place(node_id, None)
                 return {node_id}
         return set()
 
@@ -139,19 +290,29 @@ class Objects:
         return instances.join(by_name[kept], by_name[lost])
 
     # -- state --------------------------------------------------------------------------------------------
-    def document(self) -> list[list[Any]]:
-        """[instance id, node id] of all nodes."""
-        return [[instance_id, name] for instance_id, name in self._node_of.items()]
+    def document(self) -> dict[str, Any]:
+        """[instance id, node id] of all nodes, doubts, and what has gone."""
+        return {
+            "nodes": [[instance_id, name] for instance_id, name in self._node_of.items()],
+            "doubts": self.presence.document(),
+            "reappearance": self.reappearance.document(),
+        }
 
-    def restore(self, document: list[list[Any]], instances: InstanceMap, graph: SceneGraph) -> None:
+    def restore(self, document: Mapping[str, Any], instances: InstanceMap, graph: SceneGraph) -> None:
         """Take over what `document` gave; shapes are measured anew."""
-        for instance_id, name in document:
-            self._node_of[instance_id] = name
+        for instance_id, name in document["nodes"]:
+            node = graph.node(name)
+            self.labels[name] = node.label
+            self._own(instance_id, name)
             points, weights = instances.points(instance_id)
             shape = Shape.trimmed(points, weights, instances.voxel_size_m)
             if shape is not None:
                 self.shapes[name] = shape
-            self.labels[name] = graph.node(name).label
+            self._looks[name] = Look.of(node, instances.instances[instance_id].tint)
+            if name in self._instance_of:
+                self.presence.place(name, shape)
+        self.presence.restore(document["doubts"])
+        self.reappearance.restore(document["reappearance"])
 
     @staticmethod
     def _name(instance_id: int, structural: bool, graph: SceneGraph) -> str:
@@ -161,6 +322,18 @@ class Objects:
             again += 1
             name = f"{prefix}_{instance_id}_{again}"
         return name
+
+
+def now_at(known: Node, now: Node, stamp_ns: int) -> Node:
+    """A node that was known before, as and where its thing is now; with where it was, if it was moved."""
+    attributes = {**known.attributes, **now.attributes}
+    if np.linalg.norm(now.position - known.position) > SAME_PLACE_M:
+        attributes |= {"moved_ns": stamp_ns, "moved_from": known.position.round(3).tolist()}
+    else:
+        attributes["returned_ns"] = stamp_ns
+    return known.replace(
+        label=now.label, position=now.position, box=now.box, last_seen_ns=now.last_seen_ns, attributes=attributes
+    )
 
 
 def significantly_different(a: Shape, b: Shape) -> bool:

@@ -62,7 +62,7 @@ class Perception:
         self.building.update(labelled, seen.planes.deleted)
         self.rooms.forget_planes(seen.planes.deleted)
 
-        object_changes, reshaped = self.objects.update(self._map.instances, seen.instances, graph)
+        object_changes, reshaped = self.objects.update(self._map.instances, seen.instances, graph, seen.view, stamp_ns)
         changes.extend(object_changes)
         cluster_changes, reclustered = self.clusters.update(
             self._map, seen, labelled, reshaped, self._labels.things, graph, stamp_ns

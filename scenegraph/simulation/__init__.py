@@ -3,7 +3,8 @@
 Truth is what the generator placed, from exact meshes. Nothing here knows of the maps and graphs that are judged by it.
 """
 
-from scenegraph.simulation.home import Home, TrueDoor, TrueObject, TrueRoom, TrueWindow, simulate_home
+from scenegraph.simulation.changing import change_home
+from scenegraph.simulation.home import Change, Home, TrueDoor, TrueObject, TrueRoom, TrueWindow, simulate_home
 from scenegraph.simulation.noise import NoiseModel
 from scenegraph.simulation.rendering import CAMERA, Lidar, Rendered, Renderer
 from scenegraph.simulation.structure import TruePlane
@@ -12,6 +13,7 @@ from scenegraph.simulation.truth import TruthRecorder
 
 __all__ = [
     "CAMERA",
+    "Change",
     "Home",
     "Lidar",
     "NoiseModel",
@@ -25,5 +27,6 @@ __all__ = [
     "TrueRoom",
     "TrueWindow",
     "TruthRecorder",
+    "change_home",
     "simulate_home",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -107,12 +107,24 @@ class TrueWindow:
 
 
 @dataclass(frozen=True, eq=False)
+class Change:
+    """How a home came of another, drawn with `seed`: ids of the things removed, moved (these keep theirs) and added."""
+
+    before: Home
+    seed: int
+    removed: frozenset[str]
+    moved: frozenset[str]
+    added: frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
 class Home:
     """A home in the map frame; `T_map_home` is the pose of its own axis-aligned frame.
 
     The triangles of everything lie in one array, structure first: `vertices` (N, 3) float32 [m], `triangles` (M, 3),
     and for each triangle its class id `triangle_class`, its entity `triangle_entity` (1 … as in `entities`; 0 = wall,
-    floor, ceiling), its true plane `triangle_plane` (-1 = none) and its colour.
+    floor, ceiling), its true plane `triangle_plane` (-1 = none) and its colour. `tints` are the colours of walls and
+    floor by room, `change` tells what became of another home, when this one came of it.
     """
 
     seed: int
@@ -120,6 +132,7 @@ class Home:
     T_map_home: SE3
     plan: FloorPlan
     placed: tuple[Placed, ...]
+    tints: Mapping[str, tuple[Color, Color]]
     rooms: tuple[TrueRoom, ...]
     objects: tuple[TrueObject, ...]
     doors: tuple[TrueDoor, ...]
@@ -133,6 +146,7 @@ class Home:
     triangle_plane: Array
     triangle_color: Array
     entities: tuple[str, ...]
+    change: Change | None = None
 
     @cached_property
     def class_ids(self) -> dict[str, int]:
@@ -178,16 +192,19 @@ class Home:
         images_per_room: int = 30,
         tour: Tour | None = None,
         recorder: TruthRecorder | None = None,
+        start_ns: int = 1_000_000_000,
     ) -> Iterator[Observation]:
         """What a robot on a tour sees: `LabelSpace`, `RobotDescription`, then a step an `AgentPose` and an `RgbdImage`.
 
-        Images are rendered one at a time, as they are asked for. `recorder` learns what was truly seen.
+        Images are rendered one at a time, as they are asked for, the first at `start_ns`. `recorder` learns what was
+        truly seen.
         """
         from scenegraph.simulation.observing import observe
 
         return observe(
-            self, noise=noise, seed=seed, rate_hz=rate_hz, images_per_room=images_per_room, tour=tour, recorder=recorder
-        )
+            self, noise=noise, seed=seed, rate_hz=rate_hz, images_per_room=images_per_room, tour=tour,
+            recorder=recorder, start_ns=start_ns,
+        )  # fmt: skip
 
     def scan(
         self,
@@ -204,7 +221,11 @@ class Home:
         return scan(self, T_map_sensor, noise=noise, seed=seed, stamp_ns=stamp_ns, lidar=lidar)
 
     def __reduce__(self) -> tuple[object, ...]:
-        return simulate_home, (self.seed, self.yaw)
+        if self.change is None:
+            return simulate_home, (self.seed, self.yaw)
+        from scenegraph.simulation.changing import change_home
+
+        return change_home, (self.change.before, self.change.seed)
 
 
 def simulate_home(seed: int, yaw: float | None = None) -> Home:
@@ -222,7 +243,7 @@ def simulate_home(seed: int, yaw: float | None = None) -> Home:
     middle = np.array([plan.width / 2, plan.depth / 2, 0.0])
     T_map_home = SE3(turn.rotation, -(turn @ middle[None])[0] + np.array([*rng.uniform(-1.0, 1.0, 2), 0.0]))
     tints = {r.id: (_tint(rng, (222, 214, 200), 18), _tint(rng, (165, 130, 95), 30)) for r in plan.rooms}
-    return _assemble(seed, yaw, T_map_home, plan, placed, tints)
+    return assemble(seed, yaw, T_map_home, plan, placed, tints, _numbered(placed))
 
 
 def _tint(rng: np.random.Generator, base: Color, spread: int) -> Color:
@@ -243,13 +264,31 @@ def _label_space() -> LabelSpace:
     return LabelSpace(classes=classes)
 
 
-def _assemble(
-    seed: int, yaw: float, T_map_home: SE3, plan: FloorPlan, placed: list[Placed], tints: dict[str, tuple[Color, Color]]
+def _numbered(placed: list[Placed]) -> dict[str, str]:
+    """Ids of true things, `cup_2`, by those of what was placed."""
+    counts: dict[str, int] = {}
+    names: dict[str, str] = {}
+    for p in placed:
+        counts[p.model.label] = counts.get(p.model.label, 0) + 1
+        names[p.id] = f"{p.model.label}_{counts[p.model.label]}"
+    return names
+
+
+def assemble(
+    seed: int,
+    yaw: float,
+    T_map_home: SE3,
+    plan: FloorPlan,
+    placed: list[Placed],
+    tints: Mapping[str, tuple[Color, Color]],
+    true_ids: Mapping[str, str],
+    change: Change | None = None,
 ) -> Home:
+    """The home of what was placed, whose true ids are `true_ids`, by those of `placed`."""
     label_space = _label_space()
     ids = {info.name: key for key, info in label_space.classes.items()}
-    patches = build_structure(plan, tints)
-    objects = _true_objects(T_map_home, placed)
+    patches = build_structure(plan, dict(tints))
+    objects = _true_objects(T_map_home, placed, true_ids)
     names = [h.id for h in plan.holes if h.kind == "window" or h.door in ("ajar", "closed")]
     entities = tuple([o.id for o in objects] + names)
     number = {name: k + 1 for k, name in enumerate(entities)}
@@ -276,6 +315,7 @@ def _assemble(
         T_map_home=T_map_home,
         plan=plan,
         placed=tuple(placed),
+        tints=tints,
         rooms=tuple(_true_room(T_map_home, plan, k) for k in range(len(plan.rooms))),
         objects=tuple(objects),
         doors=tuple(_true_doors(T_map_home, plan)),
@@ -289,15 +329,11 @@ def _assemble(
         triangle_plane=np.concatenate(plane).astype(np.int32),
         triangle_color=np.concatenate(color).astype(np.uint8),
         entities=entities,
+        change=change,
     )
 
 
-def _true_objects(T_map_home: SE3, placed: list[Placed]) -> list[TrueObject]:
-    counts: dict[str, int] = {}
-    names: dict[str, str] = {}
-    for p in placed:
-        counts[p.model.label] = counts.get(p.model.label, 0) + 1
-        names[p.id] = f"{p.model.label}_{counts[p.model.label]}"
+def _true_objects(T_map_home: SE3, placed: list[Placed], names: Mapping[str, str]) -> list[TrueObject]:
     home_yaw = float(np.arctan2(T_map_home.rotation[1, 0], T_map_home.rotation[0, 0]))
     objects = []
     for p in placed:

@@ -53,6 +53,12 @@ def make_segmenter(home: Home, noise: NoiseModel, seed: int) -> Segmenter:
     first = np.unique(home.triangle_entity, return_index=True)[1]
     true_class[home.triangle_entity[first]] = home.triangle_class[first]
     true_class[0] = 0
+    if home.change is not None:  # what was mistaken before is mistaken still; what is new is not
+        before = make_segmenter(home.change.before, noise, seed)
+        known = dict(zip(home.change.before.entities, before.persistent[1:].tolist(), strict=True))
+        persistent = true_class.copy()
+        persistent[1:] = [known.get(e, c) for e, c in zip(home.entities, true_class[1:].tolist(), strict=True)]
+        return Segmenter(noise, true_class, before.confusable, persistent)
     things = np.array([key for key, info in classes.items() if info.kind == "thing"], dtype=np.uint16)
     return Segmenter.make(noise, true_class, things, np.random.default_rng([home.seed, seed, 1]))
 
@@ -66,27 +72,28 @@ def observe(
     images_per_room: int,
     tour: Tour | None,
     recorder: TruthRecorder | None,
+    start_ns: int = START_NS,
 ) -> Iterator[Observation]:
     """See `Home.observe`. Raises `InvalidParameter` on an unknown kind of noise or a rate ≤ 0, at once."""
     model = noise_model(noise)
     if not rate_hz > 0.0:
         raise InvalidParameter(f"rate_hz: expected a rate > 0 Hz, got {rate_hz!r}")
     way = tour or Tour(home, images_per_room=images_per_room)
-    return _stream(home, model, seed, rate_hz, way, recorder)
+    return _stream(home, model, seed, rate_hz, way, recorder, start_ns)
 
 
 def _stream(
-    home: Home, noise: NoiseModel, seed: int, rate_hz: float, tour: Tour, recorder: TruthRecorder | None
+    home: Home, noise: NoiseModel, seed: int, rate_hz: float, tour: Tour, recorder: TruthRecorder | None, start_ns: int
 ) -> Iterator[Observation]:
     yield home.label_space
     yield robot_description()
-    rng = np.random.default_rng([home.seed, seed, 2])
+    rng = np.random.default_rng([home.seed, seed, 2] if home.change is None else [home.seed, seed, 2, home.change.seed])
     segmenter = make_segmenter(home, noise, seed)
     if recorder is not None:
         recorder.note_confused(segmenter)
     covariance = noise.covariance
     for k, step in enumerate(tour.steps):
-        stamp_ns = START_NS + round(k * 1e9 / rate_hz)
+        stamp_ns = start_ns + round(k * 1e9 / rate_hz)
         rendered = home.renderer.render(step.T_map_camera)
         if recorder is not None:
             recorder.record(rendered)

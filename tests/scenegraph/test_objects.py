@@ -7,8 +7,8 @@ import pytest
 
 from mapping.instances import Instance, InstanceChange
 from scenegraph.errors import InvalidStatement
-from scenegraph.graph import SceneGraph
-from scenegraph.perception.objects import LEAST_VIEWS, Objects
+from scenegraph.graph import GraphChanges, SceneGraph
+from scenegraph.perception.objects import KNOWN_S, LEAST_VIEWS, Objects
 from tests.support.furnishing import VOXEL, box, surface
 
 CLASSES = ["cup", "table", "door"]
@@ -165,7 +165,7 @@ def test_a_forgotten_thing_is_gone_from_every_list(world: Watching) -> None:
     assert world.objects.forget("object_1", world.seen) == {"object_1"}  # type: ignore[arg-type]
     assert world.seen.forgotten == [1]
     assert world.objects.shapes == world.objects.labels == {}
-    assert world.objects.document() == []
+    assert world.objects.document()["nodes"] == []
     assert world.objects.forget("room_1", world.seen) == set()  # type: ignore[arg-type]
 
 
@@ -184,3 +184,86 @@ def test_things_come_back_from_their_document(world: Watching) -> None:
     assert again.shapes.keys() == world.objects.shapes.keys()
     world.objects = again
     assert world.update(1, 2) == set(), "nothing has changed"
+
+
+ELSEWHERE = np.array([2.0, 0.0, 0.0])
+
+
+def gone(world: Watching, number: int) -> None:
+    del world.seen.instances[number], world.seen.surface[number]
+    world.update(number)
+
+
+def test_what_comes_back_where_it_was_has_its_id_again(world: Watching) -> None:
+    gone(world, 1)
+    world.seen.put(2, "table", CUBE + 0.05, now=20)
+    world.update(2)
+    [node] = world.graph.nodes("object")
+    assert (node.id, node.first_seen_ns) == ("object_1", 10)
+    assert "moved_ns" not in node.attributes
+    assert world.graph.tombstone("object_1") is None
+
+
+def test_what_was_carried_elsewhere_keeps_its_id_and_says_from_where(world: Watching) -> None:
+    gone(world, 1)
+    world.seen.put(2, "table", CUBE + ELSEWHERE, now=20)
+    world.update(2)
+    [node] = world.graph.nodes("object")
+    assert node.id == "object_1"
+    assert node.position == pytest.approx([2.0, 0.0, 0.1], abs=0.01)
+    assert node.attributes["moved_from"] == pytest.approx([0.0, 0.0, 0.1], abs=0.01)
+    world.seen.put(2, "table", CUBE + ELSEWHERE, now=30)
+    world.update(2)
+    assert world.graph.node("object_1").last_seen_ns == 30, "it is looked after where it is now"
+
+
+MUCH_LATER = round(2 * KNOWN_S * 1e9)
+
+
+def test_what_was_found_elsewhere_before_its_old_place_was_looked_at_becomes_itself(world: Watching) -> None:
+    world.seen.put(3, "cup", CUBE + ELSEWHERE + BESIDE)
+    world.update(3)
+    world.seen.put(2, "table", CUBE + ELSEWHERE, now=MUCH_LATER)
+    world.update(2)
+    assert {n.id for n in world.graph.nodes("object")} == {"object_1", "object_2", "object_3"}
+    gone(world, 1)
+    [node] = world.graph.nodes("object", label="table")
+    assert node.id == "object_1"
+    assert node.position == pytest.approx([2.0, 0.0, 0.1], abs=0.01)
+    assert world.graph.tombstone("object_2").became == "object_1"  # type: ignore[union-attr]
+    assert world.objects.shapes.keys() == world.objects.labels.keys() == {"object_1", "object_3"}
+
+
+def test_what_was_just_found_where_nobody_had_been_is_not_what_goes_elsewhere(world: Watching) -> None:
+    world.seen.put(2, "table", CUBE + ELSEWHERE, now=MUCH_LATER)
+    world.update(2)
+    gone(world, 1)
+    assert [n.id for n in world.graph.nodes("object")] == ["object_2"]
+
+
+def test_two_that_were_seen_at_one_time_are_two(world: Watching) -> None:
+    world.seen.put(2, "table", CUBE + ELSEWHERE, now=10)
+    world.update(2)
+    gone(world, 1)
+    assert [n.id for n in world.graph.nodes("object")] == ["object_2"]
+
+
+def test_what_operators_told_of_a_thing_comes_back_with_it(world: Watching) -> None:
+    changes = GraphChanges()
+    node = world.graph.node("object_1")
+    changes.put(node.replace(attributes={**node.attributes, "name": "the old one"}))
+    world.graph.commit(changes, world.now)
+    gone(world, 1)
+    world.seen.put(2, "table", CUBE + ELSEWHERE, now=20)
+    world.update(2)
+    assert world.graph.node("object_1").attributes["name"] == "the old one"
+
+
+def test_what_has_gone_is_remembered_over_a_restart(world: Watching) -> None:
+    gone(world, 1)
+    again = Objects(lambda number: CLASSES[number - 1], lambda label: label == "door")
+    again.restore(world.objects.document(), world.seen, world.graph)  # type: ignore[arg-type]
+    world.objects = again
+    world.seen.put(2, "table", CUBE + ELSEWHERE, now=20)
+    world.update(2)
+    assert [n.id for n in world.graph.nodes("object")] == ["object_1"]
