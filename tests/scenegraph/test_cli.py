@@ -257,8 +257,8 @@ def test_evaluate_passes_on_the_noise_and_prints_figures_once(monkeypatch):
     assert told["semantics.accuracy_by_views"] == []
     assert run("evaluate", "--noise", "none").exit_code == 0
     assert asked == [
-        (1, True, {"first_seed": 7, "noise": "realistic", "mislabelled": 0.25}),
-        (10, True, {"first_seed": 0, "noise": "none", "mislabelled": None}),
+        (1, True, {"first_seed": 7, "noise": "realistic", "mislabelled": 0.25, "second_tour": False}),
+        (10, True, {"first_seed": 0, "noise": "none", "mislabelled": None, "second_tour": False}),
     ]
 
 
