@@ -300,7 +300,7 @@ class ClusterMap:
 
     def _components_at(self, points: Array, slots: Array) -> Array:
         """The component (N,) of samples (N, 3) of the blocks `slots` (N,)."""
-        ijk = np.floor(points * (1.0 / self.voxel_size_m) - 0.5).astype(np.int64)
+        ijk = np.floor(points * (1.0 / self.voxel_size_m) - kernels.HALF).astype(np.int64)
         within = np.clip(ijk - (self._store.block_ijk[slots].astype(np.int64) << 3), 0, 7)
         return np.asarray(self._store.fields["component"][slots, within[:, 0] << 6 | within[:, 1] << 3 | within[:, 2]])
 

@@ -188,11 +188,15 @@ class LayeredMap:
 
     def label_image(self, image: RgbdImage, T_map_camera: SE3, things: Array, moving: Array | None = None) -> MapChange:
         """Add the labels of an image whose depth was fused before; `things` and `moving` as for `integrate_image`."""
-        nothing = np.empty((0, 3), np.int32)
-        unchanged = (Changed(nothing, self.occupancy.block_size_m), Changed(nothing, self.tsdf.block_size_m))
         depth_m = image.depth_m if moving is None else self._still(image, T_map_camera, moving)
         instances = self._vote(image, depth_m, T_map_camera, things)
-        return MapChange(*unchanged, instances=instances, moving=self._follow(image, T_map_camera, moving))
+        return replace(self.unchanged, instances=instances, moving=self._follow(image, T_map_camera, moving))
+
+    @property
+    def unchanged(self) -> MapChange:
+        """The change that is none."""
+        nothing = np.empty((0, 3), np.int32)
+        return MapChange(Changed(nothing, self.occupancy.block_size_m), Changed(nothing, self.tsdf.block_size_m))
 
     def _vote(self, image: RgbdImage, depth_m: Array, T_map_camera: SE3, things: Array) -> InstanceChange:
         if image.labels is None:

@@ -371,9 +371,13 @@ class Detection(Observation):
 
 
 class Detections(Sensed):
-    """What a detector found in the image that has the same stamp and sensor; 3D boxes stand in that sensor's frame."""
+    """What a detector found in the image that has the same stamp and sensor; 3D boxes stand in that sensor's frame.
+
+    T_map_sensor   pose of a sensor that sends boxes and no images; None: looked up in the frame tree
+    """
 
     items: tuple[Detection, ...]
+    T_map_sensor: Pose | None = None
 
 
 class AgentPose(Observation):

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.box_tracks import Sighting, UprightBox
+from mapping.boxed import surface_in_box
 from mapping.errors import InvalidObservation
 from mapping.geometry import SE3
 from mapping.observations import Box3d, Detections, RgbdImage
@@ -33,6 +35,7 @@ class DetectionDesk:
     def __init__(self) -> None:
         self._images: OrderedDict[Key, Posed] = OrderedDict()
         self._detections: OrderedDict[Key, Detections] = OrderedDict()
+        self._cameras: set[tuple[str, str]] = set()
 
     @property
     def waiting(self) -> int:
@@ -41,6 +44,7 @@ class DetectionDesk:
 
     def keep(self, image: RgbdImage, T_map_camera: SE3) -> None:
         """Remember an image that may get its labels from detections later."""
+        self._cameras.add((image.robot, image.sensor))
         if image.labels is None:
             self._images[_key(image)] = Posed(image, T_map_camera)
             while len(self._images) > KEPT_IMAGES:
@@ -50,6 +54,12 @@ class DetectionDesk:
         """The image with the labels of the detections that waited for it; the image itself where there are none."""
         detections = self._detections.pop(_key(image), None) if image.labels is None else None
         return image if detections is None else painted(image, detections, labels)
+
+    def stands_alone(self, detections: Detections) -> bool:
+        """Whether there are only boxes in space, of a sensor that has not sent an image."""
+        if (detections.robot, detections.sensor) in self._cameras:
+            return False
+        return all(item.box3d is not None for item in detections.items)
 
     def match(self, detections: Detections, labels: Labels) -> Posed | None:
         """The image that the detections belong to, labelled by them; None while it has not come."""
@@ -80,9 +90,7 @@ def painted(image: RgbdImage, detections: Detections, labels: Labels) -> RgbdIma
                 )
             where = item.mask
         elif item.box2d is not None:
-            where = np.zeros(shape, bool)
-            u0, v0, u1, v1 = (round(c) for c in item.box2d)
-            where[max(v0, 0) : max(v1, 0), max(u0, 0) : max(u1, 0)] = True
+            where = surface_in_box(image.depth_m, image.intrinsics, item.box2d)
         else:
             assert item.box3d is not None
             points = image.intrinsics.backproject(image.depth_m) if points is None else points
@@ -91,6 +99,15 @@ def painted(image: RgbdImage, detections: Detections, labels: Labels) -> RgbdIma
         instances[where] = n + 1
         confidence[where] = item.confidence
     return image.model_copy(update={"labels": classes, "instances": instances, "label_confidence": confidence})
+
+
+def sightings(detections: Detections, T_map_sensor: SE3) -> list[Sighting]:
+    """The boxes in space of detections, in map."""
+    return [
+        Sighting(item.label, UprightBox.about(item.box3d, T_map_sensor), item.confidence)
+        for item in detections.items
+        if item.box3d is not None
+    ]
 
 
 def _inside(box: Box3d, points: Array) -> Array:

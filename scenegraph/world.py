@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Self
 
+from mapping.errors import PoseUnavailable
 from mapping.frames import FrameTree
 from mapping.geometry import SE3
 from mapping.layered import LayeredMap, MapChange
@@ -25,7 +26,7 @@ from reasoning.knowledge import KnowledgeBase
 from scenegraph import statements, storing
 from scenegraph.answers import Answers, Place, TellResult
 from scenegraph.config import WorldConfig
-from scenegraph.detections import DetectionDesk
+from scenegraph.detections import DetectionDesk, sightings
 from scenegraph.errors import SceneGraphError
 from scenegraph.events import Event, EventLog, events_of
 from scenegraph.graph import Delta, GraphChanges, Node, SceneGraph
@@ -122,7 +123,15 @@ class World:
         return self.map.integrate_scan(scan, T_map_sensor)
 
     def _integrate_detections(self, detections: Detections) -> Delta:
-        """Label the image that the detections belong to; they wait for it when it has not come yet."""
+        """Label the image that the detections belong to; they wait for it when it has not come yet. Boxes in space of a
+        sensor that sends no images are things by themselves."""
+        if self._desk.stands_alone(detections):
+            T_map_sensor = self._pose_of(detections)
+            if T_map_sensor is not None:
+                boxes = sightings(detections, T_map_sensor)
+                source = _source(detections)
+                changes = self.perception.perceive(self.map.unchanged, self.graph, detections.stamp_ns, source, boxes)
+                return self._commit(changes, detections.stamp_ns)
         found = self._desk.match(detections, self.labels)
         if found is None:
             return self._commit(GraphChanges(), detections.stamp_ns)
@@ -130,6 +139,17 @@ class World:
         change = self.map.label_image(image, T_map_camera, self.labels.things, self._moving)
         changes = self.perception.perceive(change, self.graph, detections.stamp_ns, _source(detections))
         return self._commit(changes, detections.stamp_ns)
+
+    def _pose_of(self, detections: Detections) -> SE3 | None:
+        """The pose of the sensor of detections without an image; None while it is not known."""
+        if detections.T_map_sensor is not None:
+            return detections.T_map_sensor
+        robot, sensor = detections.robot, detections.sensor
+        optical = f"{sensor}_optical" in self.frames.frames(robot)
+        try:
+            return self.frames.sensor_pose(robot, sensor, detections.stamp_ns, optical=optical)
+        except PoseUnavailable:
+            return None
 
     @property
     def _moving(self) -> Any:

@@ -21,6 +21,9 @@ Int: TypeAlias = Any
 Float: TypeAlias = Any
 
 NOTHING, LOOSE, RAISED = 0, 1, 2
+HALF = 0.499
+"""A sample lies between the centre of its voxel and those of the next ones, often exactly at the former along some
+axes: a little is left for rounding."""
 
 
 @njit(cache=True)
@@ -28,14 +31,12 @@ def enter(codes: Array, points: Array, owner: Array, given: Array, blocks: Array
     """Write the codes `given` (N,) uint8 of surface samples into the voxels of their blocks, in place; the highest
     wins.
 
-    codes  (K, 512) uint8;  points (N, 3) [m];  owner (N,): the row of `blocks` (K, 3) of each
-    The sample of voxel (i, j, k) lies between its centre and those of the next voxels (`sample_surface`).
-    """
+    codes  (K, 512) uint8;  points (N, 3) [m];  owner (N,): the row of `blocks` (K, 3) of each"""
     for n in range(len(points)):
         row = owner[n]
         local: Int = np.int64(0)
         for a in range(3):
-            within = np.int64(np.floor(points[n, a] * per_voxel - 0.5)) - 8 * np.int64(blocks[row, a])
+            within = np.int64(np.floor(points[n, a] * per_voxel - HALF)) - 8 * np.int64(blocks[row, a])
             local = local << 3 | min(max(within, 0), 7)
         codes[row, local] = max(codes[row, local], given[n])
 
@@ -185,9 +186,9 @@ def cells_near(table: Array, code: Array, points: Array, per_voxel: Float, seen:
     found = np.empty(64, np.int64)
     n: Int = np.int64(0)
     for p in range(len(points)):
-        i0 = np.int64(np.floor(points[p, 0] * per_voxel - 0.5))
-        j0 = np.int64(np.floor(points[p, 1] * per_voxel - 0.5))
-        k0 = np.int64(np.floor(points[p, 2] * per_voxel - 0.5))
+        i0 = np.int64(np.floor(points[p, 0] * per_voxel - HALF))
+        j0 = np.int64(np.floor(points[p, 1] * per_voxel - HALF))
+        k0 = np.int64(np.floor(points[p, 2] * per_voxel - HALF))
         at_i: Int = np.int64(1 << 40)
         at_j: Int = np.int64(0)
         at_k: Int = np.int64(0)

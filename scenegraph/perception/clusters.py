@@ -41,12 +41,20 @@ class Clusters:
 
     shapes, labels  of all things, by node id; those of clusters are written here too
     is_named        instance ids (N,) → (N,) bool: whether they are nodes already
+    in_a_box        points (N, 3) [m] → (N,) bool: whether they lie in a box that was detected
     """
 
-    def __init__(self, shapes: dict[str, Shape], labels: dict[str, str], is_named: Callable[[Array], Array]) -> None:
+    def __init__(
+        self,
+        shapes: dict[str, Shape],
+        labels: dict[str, str],
+        is_named: Callable[[Array], Array],
+        in_a_box: Callable[[Array], Array],
+    ) -> None:
         self._shapes = shapes
         self._labels = labels
         self._is_named = is_named
+        self._in_a_box = in_a_box
         self._node_of: dict[int, str] = {}
         self._measured: dict[int, tuple[int, Array, Array]] = {}
         self._told: dict[str, Node] = {}
@@ -54,14 +62,16 @@ class Clusters:
         self._again: set[int] = set()
 
     # -- names that come later ----------------------------------------------------------------------------
-    def inherit(self, clusters: ClusterMap, shape: Shape) -> str | None:
-        """The node id of the cluster that a thing with a name is, which is the thing's from now on."""
+    def inherit(self, clusters: ClusterMap, points: Array) -> str | None:
+        """The node id of the cluster that a thing with a name is, which is the thing's from now on; of which points
+        (N, 3) [m] are given."""
         if not self._node_of:
             return None
-        shares = clusters.covered(shape.points)
+        shares = clusters.covered(points)
         best = max((i for i in shares if i in self._node_of), key=lambda i: (shares[i], -i), default=None)
         if best is None or shares[best] < TAKES_SHARE:
             return None
+        clusters.look_again(points)
         node_id = self._node_of.pop(best)
         self._told.pop(node_id)
         self._measured.pop(best, None)
@@ -100,16 +110,16 @@ class Clusters:
         self._follow(change, clusters, planes, graph, changes, reshaped)
         return changes, reshaped
 
-    def _naming(self, map_: LayeredMap, things: Array) -> Callable[[Array], Array] | None:
+    def _naming(self, map_: LayeredMap, things: Array) -> Callable[[Array], Array]:
         if not len(map_.semantics.block_ijk):
-            return None
+            return self._in_a_box
 
         def named(points: Array) -> Array:
             centres, near = nearest_labelled(points, map_.semantics, map_.tsdf.voxel_size_m)
             found = np.zeros(len(points), np.bool_)
             labels, _ = map_.semantics.query(centres)
             found[near] = ((labels > 0) & ~things[labels]) | self._is_named(map_.instances.query(centres))
-            return found
+            return found | self._in_a_box(points)
 
         return named
 

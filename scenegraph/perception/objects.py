@@ -43,7 +43,7 @@ class Objects:
         self._structural = structural
         self.shapes: dict[str, Shape] = {}
         self.labels: dict[str, str] = {}
-        self.inherited: Callable[[Shape], str | None] = lambda _: None
+        self.inherited: Callable[[Shape, str], str | None] = lambda *_: None
         """The id under which a thing that gets a name now has been known until now, if it has been."""
         self.presence = Presence()
         self.reappearance = Reappearance()
@@ -203,7 +203,9 @@ class Objects:
             reshaped.add(node_id)
         attributes: dict[str, Any] = {"voxels": len(shape.points), "views": instance.views}
         node = Node(
-            id=node_id or (None if structural else self.inherited(shape)) or self._name(instance_id, structural, graph),
+            id=node_id
+            or (None if structural else self.inherited(shape, label))
+            or self._name(instance_id, structural, graph),
             layer="structure" if structural else "object",
             label=label,
             position=shape.box.center,
@@ -226,11 +228,12 @@ class Objects:
 
     def _arrive(self, node: Node, look: Look, instance_id: int, graph: SceneGraph, stamp_ns: int) -> Node:
         """A new node as what it is: a thing that was known before, part of another, or something new."""
-        known = self.reappearance.who_is(node, look, stamp_ns) if node.layer == "object" else None
+        fresh = node.layer == "object" and node.id not in graph  # and not one that had no name until now
+        known = self.reappearance.who_is(node, look, stamp_ns) if fresh else None
         if known is not None:
             del self.reappearance.absent[known.node.id]
             node = now_at(known.node, node, stamp_ns)
-        elif node.layer == "object" and self._was_known(node, graph):
+        elif fresh and self._was_known(node, graph):
             self.reappearance.arrive(node, stamp_ns)
         whole = self._node_of.get(self._split_from.pop(instance_id, 0))
         if known is None and whole is not None:

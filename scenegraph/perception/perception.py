@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.box_tracks import Sighting
 from mapping.labelled import labels_near
 from mapping.layered import LayeredMap, MapChange
 from mapping.observations import AgentPose
@@ -17,6 +18,7 @@ from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 from scenegraph.labels import Labels
 from scenegraph.perception import told_rooms
+from scenegraph.perception.boxes import Boxes
 from scenegraph.perception.building import Building
 from scenegraph.perception.clusters import Clusters
 from scenegraph.perception.movers import move_nodes
@@ -24,6 +26,7 @@ from scenegraph.perception.objects import Objects
 from scenegraph.perception.passages import Passages
 from scenegraph.perception.relations import MeasurementChange, Relations
 from scenegraph.perception.rooms import Rooms
+from scenegraph.perception.shapes import Shape
 from scenegraph.perception.structure import Structure
 from scenegraph.statements import FORMS, Statement
 
@@ -33,6 +36,8 @@ if TYPE_CHECKING:
 Array: TypeAlias = NDArray[Any]
 
 BUILDING = "building_1"
+BESIDE_VOXELS = 1.5
+"""Surface of the map so near a box that was detected is the thing's."""
 
 
 class Perception:
@@ -44,15 +49,20 @@ class Perception:
         self._meaning = meaning
         self.structure = Structure()
         self.objects = Objects(labels.name, meaning.is_structural)
-        self.clusters = Clusters(self.objects.shapes, self.objects.labels, self.objects.is_node)
-        self.objects.inherited = lambda shape: self.clusters.inherit(map_.clusters, shape)
+        shapes, names = self.objects.shapes, self.objects.labels
+        beside_m = BESIDE_VOXELS * map_.tsdf.voxel_size_m
+        self.boxes = Boxes(shapes, names, meaning.is_structural, map_.instances.voxel_size_m, beside_m)
+        self.clusters = Clusters(shapes, names, self.objects.is_node, self.boxes.holds)
+        self.objects.inherited = self._known_as
         self.rooms = Rooms()
         self.passages = Passages()
         self.building = Building(map_.planes, map_.occupancy, self._storey_at)
         self.relations = Relations(meaning.is_container)
 
-    def perceive(self, seen: MapChange, graph: SceneGraph, stamp_ns: int, source: str) -> GraphChanges:
-        """Everything that follows from one observation's change of the map."""
+    def perceive(
+        self, seen: MapChange, graph: SceneGraph, stamp_ns: int, source: str, boxes: Sequence[Sighting] = ()
+    ) -> GraphChanges:
+        """Everything that follows from one observation's change of the map, and from boxes that were detected."""
         changes = self._found(graph, stamp_ns)
         structure_changes = self.structure.update(
             self._map.planes, seen.planes, self._evidence, self._meaning.label_planes, stamp_ns
@@ -64,6 +74,9 @@ class Perception:
 
         object_changes, reshaped = self.objects.update(self._map.instances, seen.instances, graph, seen.view, stamp_ns)
         changes.extend(object_changes)
+        box_changes, reboxed = self.boxes.update(boxes, reshaped, self._cluster_at, graph, stamp_ns)
+        changes.extend(box_changes)
+        reshaped |= reboxed
         cluster_changes, reclustered = self.clusters.update(
             self._map, seen, labelled, reshaped, self._labels.things, graph, stamp_ns
         )
@@ -122,7 +135,8 @@ class Perception:
             case "delete", (str(node),):
                 graph.node(node)
                 reason_given = told.reason or f"deleted by {told.author}"
-                touched = self.objects.forget(node, self._map.instances) | self.clusters.forget(node)
+                touched = self.objects.forget(node, self._map.instances)
+                touched |= self.clusters.forget(node) | self.boxes.forget(node)
                 changes.delete_node(node, reason_given)
                 measured = self.relations.update(self.objects.shapes, self.objects.labels, touched, self.building)
             case "merge", (str(kept), str(lost)) if "room" in (graph.node(kept).layer, graph.node(lost).layer):
@@ -172,6 +186,7 @@ class Perception:
         return {
             "objects": self.objects.document(),
             "clusters": self.clusters.document(),
+            "boxes": self.boxes.document(),
             "relations": self.relations.document(),
             "structure": self.structure.document(),
         }
@@ -179,6 +194,8 @@ class Perception:
     def restore(self, document: Mapping[str, Any], rooms: Mapping[str, Array], graph: SceneGraph) -> None:
         """Take over what `document` and `Rooms.state` gave; the map and the graph have been restored before."""
         self.objects.restore(document["objects"], self._map.instances, graph)
+        if "boxes" in document:
+            self.boxes.restore(document["boxes"])
         self.rooms.restore(rooms, graph)
         self.passages.restore(graph)
         self.structure.restore(document["structure"], self._map.planes, graph)
@@ -205,6 +222,13 @@ class Perception:
                 )
             )  # fmt: skip
         return changes
+
+    def _known_as(self, shape: Shape, label: str) -> str | None:
+        """The id under which a thing of which voxels have a class now has been known until now."""
+        return self.boxes.inherit(shape, label) or self._cluster_at(shape.points)
+
+    def _cluster_at(self, points: Array) -> str | None:
+        return self.clusters.inherit(self._map.clusters, points)
 
     def _evidence(self, points: Array) -> dict[str, float]:
         """Shares of the points (N, 3) on a plane that carry each class; what carries no label is left out.

@@ -104,7 +104,8 @@ def test_an_image_that_is_refused_leaves_its_detections_waiting() -> None:
 
 
 def test_boxes_in_the_image_are_painted_the_surest_on_top() -> None:
-    labels, image = Labels(), bare(0)
+    labels = Labels()
+    image = RgbdImage(**{**dict(bare(0)), "depth": np.zeros((150, 200), np.float32)})  # which says nothing against them
     items = (
         Detection(label="cup", confidence=0.9, box2d=(20.0, 10.0, 60.0, 40.0)),
         Detection(label="sofa", confidence=0.5, box2d=(40.0, 20.0, 5000.0, 90.4)),
@@ -130,6 +131,17 @@ def test_a_box_beside_the_image_paints_nothing() -> None:
     )
     seen = painted(bare(0), Detections(stamp_ns=1, robot="rob", sensor="camera", items=items), Labels())
     assert not seen.labels.any()  # type: ignore[union-attr]
+
+
+def test_a_box_in_the_image_paints_the_thing_and_not_what_is_behind_it() -> None:
+    _, hit = SCENE.cast(POSES[0])
+    v, u = np.nonzero(hit == 3)
+    box = (float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1))
+    items = (Detection(label="ball", box2d=box),)
+    seen = painted(bare(0), Detections(stamp_ns=1, robot="rob", sensor="camera", items=items), Labels())
+    mine = seen.labels > 0  # type: ignore[operator]
+    assert (mine & (hit == 3)).sum() > 0.95 * (hit == 3).sum()
+    assert (mine & (hit != 3)).sum() < 0.02 * mine.sum()
 
 
 def test_a_box_in_space_paints_the_surface_inside_it() -> None:
