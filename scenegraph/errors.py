@@ -11,6 +11,7 @@ SceneGraphError
 ├── HistoryUnavailable     a time before the remembered past
 ├── ExportError            a format that is not known, or a file that cannot be written
 ├── GraphUnreadable        a file that holds no graph in a format that is known (also a ValueError)
+├── JoinRefused            two graphs that cannot be laid on one another, or in more than one way
 ├── PictureError           a picture that cannot be drawn from what was given
 └── StoreError             a stored world that cannot be written or read
     ├── StoreForeign       the file is not a stored world
@@ -39,6 +40,7 @@ __all__ = [
     "InvalidGraphValue",
     "InvalidStatement",
     "InvariantViolated",
+    "JoinRefused",
     "PictureError",
     "Problem",
     "RevisionGap",
@@ -134,6 +136,12 @@ class GraphUnreadable(SceneGraphError, ValueError):
     """A file or document is no graph in a format that is known, or a damaged one; the message names the place."""
 
     code = "graph_unreadable"
+
+
+class JoinRefused(SceneGraphError):
+    """Two graphs cannot be joined: nothing says where one lies in the other, or more than one place would do."""
+
+    code = "join_refused"
 
 
 class PictureError(SceneGraphError):

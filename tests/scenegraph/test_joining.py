@@ -1,0 +1,301 @@
+"""Two graphs of one home become one: laws on random homes, and truth where it is known who is who."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mapping.geometry import SE3
+from scenegraph.errors import InvalidGraphValue, JoinRefused
+from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
+from scenegraph.joining import JoinReport, join
+from tests.support.furnished import furnished, seen_by_another, turned
+from tests.support.graphs import graphs
+
+seeds = st.integers(0, 10_000)
+poses = st.builds(turned, st.floats(-3.1, 3.1), st.floats(-20, 20), st.floats(-20, 20), st.floats(-0.5, 0.5))
+
+
+def copied(graph: SceneGraph) -> SceneGraph:
+    return SceneGraph.from_snapshot(graph.snapshot())
+
+
+def joined(ours: SceneGraph, theirs: SceneGraph, T: SE3 | None = None, **options: Any) -> tuple[SceneGraph, JoinReport]:
+    whole = copied(ours)
+    changes, report = join(whole, theirs, T, **options)
+    whole.commit(changes, 3000)
+    return whole, report
+
+
+def world(*things: tuple[str, str, float, float], **fields: Any) -> SceneGraph:
+    changes = GraphChanges()
+    for node_id, label, x, y in things:
+        box = Box(center=(x, y, 0.5), size=(0.5, 0.5, 1.0))
+        times = {"first_seen_ns": 0, "last_seen_ns": 1}
+        changes.put(Node(id=node_id, layer="object", label=label, position=(x, y, 0.5), box=box, **{**times, **fields}))
+    graph = SceneGraph()
+    graph.commit(changes, 1)
+    return graph
+
+
+# -- laws ------------------------------------------------------------------------------------------------------------
+
+
+@given(graphs())
+@settings(max_examples=60)
+def test_a_graph_joined_with_itself_is_itself(graph: SceneGraph) -> None:
+    whole, report = joined(graph, graph, SE3.identity())
+    assert whole == graph
+    assert all(report.ids[node.id] == node.id for node in graph)
+    assert not report.conflicts
+
+
+@given(seeds)
+@settings(max_examples=15)
+def test_a_home_joined_with_itself_is_itself_wherever_it_is_found_to_lie(seed: int) -> None:
+    home = furnished(seed)
+    whole, report = joined(home, home)
+    assert report.alignment is not None
+    assert report.T_ours_theirs.isclose(SE3.identity(), atol=1e-6)
+    again, _ = joined(home, home, SE3.identity())
+    assert again == home
+    assert {node.id for node in whole} == {node.id for node in home}
+
+
+@given(seeds, st.floats(0.3, 1.0), poses)
+@settings(max_examples=25)
+def test_joined_twice_is_joined_once(seed: int, share: float, T: SE3) -> None:
+    home = furnished(seed)
+    ours, _ = seen_by_another(home, seed + 1, share=share)
+    theirs, _ = seen_by_another(home, seed + 2, share=share, T_map_home=T)
+    once, report = joined(ours, theirs, T.inverse())
+    twice, again = joined(once, theirs, T.inverse())
+    assert twice == once
+    assert dict(again.ids) == dict(report.ids)
+    assert not again.added
+
+
+@given(seeds, st.floats(0.4, 1.0), poses)
+@settings(max_examples=25)
+def test_whose_graph_is_ours_decides_ids_but_not_what_there_is(seed: int, share: float, T: SE3) -> None:
+    home = furnished(seed)
+    one, _ = seen_by_another(home, seed + 1, share=share)
+    other, _ = seen_by_another(home, seed + 2, share=share, T_map_home=T)
+    a, _ = joined(one, other, T.inverse())
+    b, report = joined(other, one, T)
+    assert len(a) == len(b)
+    assert a.n_edges == b.n_edges
+    T_a_b = T.inverse()
+
+    def things(graph: SceneGraph, T_a: SE3) -> list[tuple[Any, ...]]:
+        return sorted(
+            (node.layer, node.label, *np.round(T_a @ node.position, 3).tolist(), node.confidence) for node in graph
+        )
+
+    for left, right in zip(things(a, SE3.identity()), things(b, T_a_b), strict=True):
+        assert left[:2] == right[:2]
+        np.testing.assert_allclose(left[2:], right[2:], atol=2e-3)
+    assert all(id_ in other for id_ in {j.ours for j in report.joined})
+
+
+@given(graphs(), graphs())
+@settings(max_examples=60)
+def test_any_two_graphs_can_be_joined_and_ours_keep_their_ids(ours: SceneGraph, theirs: SceneGraph) -> None:
+    whole, report = joined(ours, theirs, SE3.identity())
+    assert {node.id for node in ours} <= {node.id for node in whole}
+    assert report.ids.keys() >= {node.id for node in theirs}
+    assert all(new in whole for new in report.ids.values())
+    assert len(whole) == len(ours) + len(report.added)
+    layers = {node.id: node.layer for node in theirs}
+    assert all(whole.node(report.ids[i]).layer == layer for i, layer in layers.items())
+    json.dumps(report.as_json())
+
+
+@given(seeds, st.floats(0.3, 1.0))
+@settings(max_examples=15)
+def test_nothing_stands_on_itself_and_everything_is_in_one_room(seed: int, share: float) -> None:
+    home = furnished(seed)
+    ours, _ = seen_by_another(home, seed + 1, share=share)
+    theirs, _ = seen_by_another(home, seed + 2, share=share, noise_m=0.15)
+    whole, _ = joined(ours, theirs, SE3.identity())
+    on = {(e.source, e.target) for e in whole.edges("on")}
+    reach = dict.fromkeys((s for s, _ in on), 0)
+    for _ in range(len(reach) + 1):
+        on |= {(a, d) for a, b in on for c, d in on if b == c}
+        if len(reach) > 6:
+            break
+    assert all(a != b for a, b in on)
+    for node in whole.nodes("object"):
+        rooms = [e.target for e in whole.edges("in", source=node.id) if whole.node(e.target).layer == "room"]
+        assert len(rooms) <= 1
+        for room in rooms:
+            assert ("contains", room, node.id) in whole
+
+
+# -- truth -----------------------------------------------------------------------------------------------------------
+
+
+@given(seeds, poses)
+@settings(max_examples=25)
+def test_the_same_things_are_joined_and_no_others(seed: int, T: SE3) -> None:
+    """Two robots see four fifths of a home each, 3 cm off, each in a map of its own; nothing tells how these lie."""
+    home = furnished(seed)
+    ours, of_ours = seen_by_another(home, seed + 1)
+    theirs, of_theirs = seen_by_another(home, seed + 2, T_map_home=T)
+    _, report = joined(ours, theirs)
+    wrong = report.T_ours_theirs @ T
+    assert np.linalg.norm(wrong.translation) < 0.1
+    assert math.acos(min(1.0, (np.trace(wrong.rotation) - 1) / 2)) < math.radians(1.0)
+    in_both = set(of_ours.values()) & set(of_theirs.values())
+    found = {(of_ours[pair.ours], of_theirs[pair.theirs]) for pair in report.joined}
+    assert found == {(thing, thing) for thing in in_both}
+
+
+def test_edges_are_hung_onto_the_joined_things() -> None:
+    home = furnished(5)
+    ours, of_ours = seen_by_another(home, 6, share=0.6)
+    theirs, of_theirs = seen_by_another(home, 7, share=0.6)
+    whole, report = joined(ours, theirs, SE3.identity())
+    true_of = of_ours | {report.ids[their_id]: true for their_id, true in of_theirs.items()}
+    for edge in theirs.edges():
+        assert (edge.relation, report.ids[edge.source], report.ids[edge.target]) in whole
+    for edge in whole.edges():
+        assert (edge.relation, true_of[edge.source], true_of[edge.target]) in home
+    assert report.edges_added + report.edges_shared == theirs.n_edges
+
+
+def test_a_thing_that_moved_is_where_it_was_seen_last() -> None:
+    ours = world(("object_1", "chair", 0.0, 0.0), confidence=0.99, last_seen_ns=10)
+    theirs = world(("object_7", "chair", 0.24, 0.0), confidence=0.6, last_seen_ns=20)
+    whole, report = joined(ours, theirs, SE3.identity())
+    (chair,) = whole.nodes("object")
+    assert (chair.id, chair.position[0], chair.confidence, chair.last_seen_ns) == ("object_1", 0.24, 0.99, 20)
+    assert report.joined[0].kept == "theirs: seen later, and it has moved"
+    assert chair.attributes["known_as"] == ["theirs/object_7"]
+
+
+def test_things_of_one_class_far_apart_are_two() -> None:
+    ours, theirs = world(("object_1", "chair", 0, 0)), world(("object_1", "chair", 2, 0))
+    whole, report = joined(ours, theirs, SE3.identity(), name="spot")
+    assert report.added == ("object_1_spot",)
+    assert whole.node("object_1_spot").attributes["known_as"] == ["spot/object_1"]
+    assert dict(report.ids) == {"object_1": "object_1_spot"}
+
+
+def test_a_thing_with_two_classes_takes_the_surer_and_the_report_says_so() -> None:
+    ours = world(("object_1", "chair", 0, 0), confidence=0.6)
+    theirs = world(("object_2", "armchair", 0.05, 0), confidence=0.8)
+    whole, report = joined(ours, theirs, SE3.identity())
+    assert whole.node("object_1").label == "armchair"
+    (conflict,) = report.conflicts
+    assert (conflict.kind, conflict.ours, conflict.theirs, conflict.stays) == ("label", "chair", "armchair", "theirs")
+    assert "0.60 here, 0.80 there" in conflict.why
+    back, report = joined(theirs, ours, SE3.identity())
+    assert back.node("object_2").label == "armchair"
+    assert report.conflicts[0].stays == "ours"
+
+
+def test_a_name_given_here_stays() -> None:
+    ours = world(("object_1", "chair", 0, 0), attributes={"name": "throne"})
+    theirs = world(("object_2", "chair", 0, 0), attributes={"name": "seat", "color": "red"}, confidence=1.0)
+    whole, report = joined(ours, theirs, SE3.identity())
+    assert whole.node("object_1").attributes["name"] == "throne"
+    assert whole.node("object_1").attributes["color"] == "red"
+    assert [(c.kind, c.stays) for c in report.conflicts] == [("name", "ours")]
+
+
+def test_a_thing_in_two_rooms_is_in_that_of_the_better_sight() -> None:
+    def with_room(graph: SceneGraph, room: str, x: float) -> SceneGraph:
+        changes = GraphChanges()
+        times = {"first_seen_ns": 0, "last_seen_ns": 1}
+        footprint = [[x, -2], [x + 4, -2], [x + 4, 2], [x, 2]]
+        changes.put(
+            Node(
+                id=room,
+                layer="room",
+                label="room",
+                position=(x + 2, 0, 0),
+                attributes={"footprint": footprint},
+                **times,
+            )
+        )
+        (thing,) = graph.nodes("object")
+        changes.put(Edge(relation="in", source=thing.id, target=room, **times))
+        changes.put(Edge(relation="contains", source=room, target=thing.id, **times))
+        graph.commit(changes, 2)
+        return graph
+
+    ours = with_room(world(("object_1", "chair", 0.0, 0), confidence=0.5), "room_1", -4)
+    theirs = with_room(world(("object_1", "chair", 0.1, 0), confidence=0.9), "room_1", 0)
+    whole, report = joined(ours, theirs, SE3.identity())
+    assert [e.target for e in whole.edges("in", source="object_1")] == ["room_1_theirs"]
+    assert [e.target for e in whole.edges("contains")] == ["object_1"]
+    assert [(c.kind, c.stays) for c in report.conflicts] == [("room", "theirs")]
+    back, report = joined(theirs, ours, SE3.identity())
+    assert [e.target for e in back.edges("in", source="object_1")] == ["room_1"]
+    assert report.edges_dropped == 2
+
+
+def test_a_room_seen_in_halves_becomes_whole() -> None:
+    def half(x0: float, x1: float) -> SceneGraph:
+        changes = GraphChanges()
+        footprint = [[x0, 0], [x1, 0], [x1, 3], [x0, 3]]
+        changes.put(
+            Node(
+                id="room_1", layer="room", label="room", position=(0.5 * (x0 + x1), 1.5, 0), first_seen_ns=0,
+                last_seen_ns=1, box=Box(center=(0.5 * (x0 + x1), 1.5, 1.2), size=(x1 - x0, 3, 2.4)),
+                attributes={"footprint": footprint, "area_m2": 3 * (x1 - x0)},
+            )
+        )  # fmt: skip
+        graph = SceneGraph()
+        graph.commit(changes, 1)
+        return graph
+
+    whole, _ = joined(half(0, 3), half(1, 5), SE3.identity())
+    (room,) = whole.nodes("room")
+    assert room.attributes["area_m2"] == 15
+    np.testing.assert_allclose(room.box.size, (5, 3, 2.4))
+    np.testing.assert_allclose(room.box.center, (2.5, 1.5, 1.2))
+
+
+# -- where their map lies ----------------------------------------------------------------------------------------------
+
+
+def test_a_home_that_fits_in_two_ways_is_refused() -> None:
+    ring = [(f"object_{k}", "chair", 3 * math.cos(k * math.pi / 4), 3 * math.sin(k * math.pi / 4)) for k in range(8)]
+    graph = world(*ring)
+    with pytest.raises(JoinRefused, match="in more than one way: 8 things one way, 8 another") as caught:
+        join(graph, graph)
+    assert caught.value.hint == "give T_ours_theirs"
+    assert len(joined(graph, graph, SE3.identity())[0]) == 8
+
+
+@pytest.mark.parametrize("n", [0, 1, 3])
+def test_too_few_things_are_refused(n: int) -> None:
+    things = [(f"object_{k}", f"kind {k}", 1.3 * k, k * k) for k in range(n)]
+    with pytest.raises(JoinRefused, match=f"{n} things of the same classes in both"):
+        join(world(*things), world(*things))
+
+
+@given(seeds, seeds)
+@settings(max_examples=15)
+def test_two_different_homes_are_not_laid_on_one_another(one: int, other: int) -> None:
+    if one == other:
+        return
+    try:
+        _, report = join(furnished(one), furnished(other))
+    except JoinRefused:
+        return
+    assert report.alignment is not None
+    assert report.alignment.joined < 0.5 * report.alignment.of  # said in the report for who wants to know
+
+
+def test_a_bad_name_is_refused() -> None:
+    with pytest.raises(InvalidGraphValue, match="join: name: expected"):
+        join(world(), world(), SE3.identity(), name="Spot 1")
