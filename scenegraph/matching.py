@@ -22,10 +22,10 @@ __all__ = ["Match", "match"]
 
 Array: TypeAlias = NDArray[Any]
 
-REACH_M = (0.3, 1.0)
-"""Things of one class are candidates when their centres are at most half their longest side apart, within this."""
+REACH_M = 0.3
+"""Things of one class are candidates when their centres are at most this far apart …"""
 OVERLAP_SHARE = 0.1
-"""… or when they overlap by so much: volume in common ÷ volume of both."""
+"""… or they overlap by so much: volume in common ÷ volume of both; a part of a table is seen from each side of it."""
 OTHER_CLASS_SHARE = 0.5
 """Things of different classes are one only when they overlap by so much: a matter of labels, then."""
 ROOM_SHARE = 0.5
@@ -40,6 +40,9 @@ PLANE_SHARE = 0.3
 """Planes are one when they face the same way, lie in one another, and, grown by as much, share this of the smaller."""
 SAME_NAME = 1e-3
 """What two nodes of the same id, or known as one before, are ahead of others that fit as well."""
+
+LEAST_VOLUME_M3 = 1e-12
+"""What is smaller has no volume to share."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,13 +104,12 @@ _Candidates = list[tuple[Match, float]]
 def _things(ours: Sequence[Node], theirs: Sequence[Node]) -> _Candidates:
     """Objects: by class, distance and overlap."""
     a, b = _Boxes(ours), _Boxes(theirs)
-    i, j = a.near(b, max(REACH_M[1], 0.5 * max(a.longest.max(), b.longest.max())))
+    i, j = a.near(b, REACH_M)
     same = a.classes[i] == b.classes[j]
     distance = np.linalg.norm(a.positions[i] - b.positions[j], axis=1)
-    reach = np.clip(0.5 * np.maximum(a.longest[i], b.longest[j]), *REACH_M)
     overlap, _ = a.overlap(b, i, j)
-    alike = np.where(same, (distance <= reach) | (overlap >= OVERLAP_SHARE), overlap >= OTHER_CLASS_SHARE)
-    score = overlap + np.exp(-((distance / reach) ** 2)) + same
+    alike = np.where(same, (distance <= REACH_M) | (overlap >= OVERLAP_SHARE), overlap >= OTHER_CLASS_SHARE)
+    score = overlap + np.exp(-((distance / REACH_M) ** 2)) + same
     found: _Candidates = []
     for k in np.flatnonzero(alike).tolist():
         one, other = int(i[k]), int(j[k])
@@ -132,7 +134,7 @@ def _structure(ours: Sequence[Node], theirs: Sequence[Node]) -> _Candidates:
 
 def _planes(ours: Sequence[Node], theirs: Sequence[Node]) -> _Candidates:
     a, b = _Boxes(ours, PLANE_GROWN_M), _Boxes(theirs, PLANE_GROWN_M)
-    i, j = a.near(b, float(a.radius.max() + b.radius.max()))
+    i, j = a.near(b, 0.0)
     normals = [np.array([node.attributes["normal"] for node in nodes], np.float64) for nodes in (ours, theirs)]
     one, other = normals[0][i], normals[1][j]
     turn = np.arccos(np.clip(np.abs((one * other).sum(axis=1)), 0.0, 1.0))
@@ -186,12 +188,14 @@ def _buildings(ours: Sequence[Node], theirs: Sequence[Node]) -> _Candidates:
 
 
 def _places(ours: Sequence[Node], theirs: Sequence[Node]) -> _Candidates:
+    a, b = _Boxes(ours), _Boxes(theirs)
+    i, j = a.near(b, PLACE_M)
+    distances = np.linalg.norm(a.positions[i] - b.positions[j], axis=1)
     found: _Candidates = []
-    for i, j in _near(ours, theirs, PLACE_M):
-        distance = _distance(ours[i], theirs[j])
-        found.append(
-            (Match(i, j, distance, 0.0, f"{distance:.2f} m apart"), 1.0 + math.exp(-((distance / PLACE_M) ** 2)))
-        )
+    for one, other, distance in zip(i.tolist(), j.tolist(), distances.tolist(), strict=True):
+        if distance <= PLACE_M:
+            score = 1.0 + math.exp(-((distance / PLACE_M) ** 2))
+            found.append((Match(one, other, distance, 0.0, f"{distance:.2f} m apart"), score))
     return found
 
 
@@ -222,22 +226,24 @@ _CANDIDATES: dict[Layer, Any] = {
 
 
 class _Boxes:
-    """Nodes as arrays: positions (N, 3), classes (N,), longest sides and radii (N,) [m], corners of their boxes, grown
-    on every side, (N, 8, 3), all at the position where there is no box."""
+    """Nodes as arrays: positions (N, 3), classes (N,), corners of their boxes, grown on every side, (N, 8, 3), all at
+    the position where there is no box."""
 
     def __init__(self, nodes: Sequence[Node], grown: float = 0.0) -> None:
         self.positions = np.array([node.position for node in nodes])
         self.classes = np.array([class_atom(node.label) for node in nodes])
-        self.longest = np.array([_longest(node) for node in nodes])
         self.corners = np.array([_corners(node, grown) for node in nodes])
-        self.radius = np.linalg.norm(self.corners - self.positions[:, None], axis=2).max(axis=1)
         self._low, self._high = self.corners.min(axis=1), self.corners.max(axis=1)
 
     def near(self, other: _Boxes, reach: float) -> tuple[Array, Array]:
-        """Rows of ours and of theirs whose positions are at most `reach` apart."""
-        found = cKDTree(self.positions).query_ball_tree(cKDTree(other.positions), reach)
-        i = np.repeat(np.arange(len(found)), [len(near) for near in found])
-        j = np.array([row for near in found for row in sorted(near)], np.int64)
+        """Rows of ours and of theirs whose positions are at most `reach` apart, or that may overlap."""
+        close = cKDTree(self.positions).query_ball_tree(cKDTree(other.positions), reach)
+        pairs = {(i, j) for i, near in enumerate(close) for j in near}
+        tree = shapely.STRtree(shapely.box(*self._low[:, :2].T, *self._high[:, :2].T))
+        pairs.update(
+            zip(*reversed(tree.query(shapely.box(*other._low[:, :2].T, *other._high[:, :2].T)).tolist()), strict=True)
+        )
+        i, j = np.array(sorted(pairs), np.int64).reshape(-1, 2).T
         return i, j
 
     def overlap(self, other: _Boxes, i: Array, j: Array) -> tuple[Array, Array]:
@@ -255,9 +261,9 @@ class _Boxes:
             volume = shapely.area(one) * (self._high - self._low)[i, 2]
             theirs = shapely.area(others) * (other._high - other._low)[j, 2]
             smaller = np.minimum(volume, theirs)
-            solid = smaller > 0.0
-            ratios[0, meet[solid]] = (common / (volume + theirs - common))[solid]
-            ratios[1, meet[solid]] = (common / smaller)[solid]
+            solid = smaller > LEAST_VOLUME_M3
+            ratios[0, meet[solid]] = common[solid] / (volume + theirs - common)[solid]
+            ratios[1, meet[solid]] = common[solid] / smaller[solid]
         return ratios[0], ratios[1]
 
     def _grounds(self, rows: Array) -> Any:
@@ -268,11 +274,6 @@ class _Boxes:
             shapely.multipoints(points.reshape(-1, 2), indices=np.repeat(np.arange(len(points)), 8))
         )
         return grounds[of]
-
-
-def _near(ours: Sequence[Node], theirs: Sequence[Node], reach: float) -> list[tuple[int, int]]:
-    i, j = _Boxes(ours).near(_Boxes(theirs), reach)
-    return list(zip(i.tolist(), j.tolist(), strict=True))
 
 
 def _corners(node: Node, grown: float) -> Array:
@@ -291,10 +292,6 @@ def _distance(a: Node, b: Node) -> float:
 def _floor(node: Node) -> float:
     height = node.attributes.get("floor_z")
     return float(height) if isinstance(height, int | float) else float(node.position[2])
-
-
-def _longest(node: Node) -> float:
-    return 0.0 if node.box is None else float(node.box.size.max())
 
 
 def _outline(node: Node) -> Any:

@@ -48,7 +48,7 @@ def world(*things: tuple[str, str, float, float], **fields: Any) -> SceneGraph:
 
 
 @given(graphs())
-@settings(max_examples=60)
+@settings(max_examples=40)
 def test_a_graph_joined_with_itself_is_itself(graph: SceneGraph) -> None:
     whole, report = joined(graph, graph, SE3.identity())
     assert whole == graph
@@ -57,7 +57,7 @@ def test_a_graph_joined_with_itself_is_itself(graph: SceneGraph) -> None:
 
 
 @given(seeds)
-@settings(max_examples=15)
+@settings(max_examples=6)
 def test_a_home_joined_with_itself_is_itself_wherever_it_is_found_to_lie(seed: int) -> None:
     home = furnished(seed)
     whole, report = joined(home, home)
@@ -69,7 +69,7 @@ def test_a_home_joined_with_itself_is_itself_wherever_it_is_found_to_lie(seed: i
 
 
 @given(seeds, st.floats(0.3, 1.0), poses)
-@settings(max_examples=25)
+@settings(max_examples=10)
 def test_joined_twice_is_joined_once(seed: int, share: float, T: SE3) -> None:
     home = furnished(seed)
     ours, _ = seen_by_another(home, seed + 1, share=share)
@@ -82,7 +82,7 @@ def test_joined_twice_is_joined_once(seed: int, share: float, T: SE3) -> None:
 
 
 @given(seeds, st.floats(0.4, 1.0), poses)
-@settings(max_examples=25)
+@settings(max_examples=10)
 def test_whose_graph_is_ours_decides_ids_but_not_what_there_is(seed: int, share: float, T: SE3) -> None:
     home = furnished(seed)
     one, _ = seen_by_another(home, seed + 1, share=share)
@@ -105,7 +105,7 @@ def test_whose_graph_is_ours_decides_ids_but_not_what_there_is(seed: int, share:
 
 
 @given(graphs(), graphs())
-@settings(max_examples=60)
+@settings(max_examples=40)
 def test_any_two_graphs_can_be_joined_and_ours_keep_their_ids(ours: SceneGraph, theirs: SceneGraph) -> None:
     whole, report = joined(ours, theirs, SE3.identity())
     assert {node.id for node in ours} <= {node.id for node in whole}
@@ -118,7 +118,7 @@ def test_any_two_graphs_can_be_joined_and_ours_keep_their_ids(ours: SceneGraph, 
 
 
 @given(seeds, st.floats(0.3, 1.0))
-@settings(max_examples=15)
+@settings(max_examples=6)
 def test_nothing_stands_on_itself_and_everything_is_in_one_room(seed: int, share: float) -> None:
     home = furnished(seed)
     ours, _ = seen_by_another(home, seed + 1, share=share)
@@ -142,7 +142,7 @@ def test_nothing_stands_on_itself_and_everything_is_in_one_room(seed: int, share
 
 
 @given(seeds, poses)
-@settings(max_examples=25)
+@settings(max_examples=10)
 def test_the_same_things_are_joined_and_no_others(seed: int, T: SE3) -> None:
     """Two robots see four fifths of a home each, 3 cm off, each in a map of its own; nothing tells how these lie."""
     home = furnished(seed)
@@ -284,7 +284,7 @@ def test_too_few_things_are_refused(n: int) -> None:
 
 
 @given(seeds, seeds)
-@settings(max_examples=15)
+@settings(max_examples=6)
 def test_two_different_homes_are_not_laid_on_one_another(one: int, other: int) -> None:
     if one == other:
         return

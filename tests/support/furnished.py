@@ -11,10 +11,11 @@ from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
 from scenegraph.rigid import moved
 
 CLASSES = {
-    "table": (1.4, 0.8, 0.75), "chair": (0.5, 0.5, 0.9), "bed": (2.0, 1.4, 0.5), "sofa": (2.0, 0.9, 0.8),
-    "lamp": (0.3, 0.3, 1.5), "plant": (0.4, 0.4, 0.8), "cabinet": (1.0, 0.45, 1.8), "box": (0.5, 0.4, 0.3),
-    "bin": (0.3, 0.3, 0.5), "desk": (1.2, 0.6, 0.72), "shelf": (0.8, 0.3, 2.0), "stool": (0.35, 0.35, 0.45),
+    "table": (0.7, 0.6, 0.75), "chair": (0.5, 0.5, 0.9), "bed": (0.7, 0.65, 0.5), "sofa": (0.7, 0.5, 0.8),
+    "lamp": (0.3, 0.3, 1.5), "plant": (0.4, 0.4, 0.8), "cabinet": (0.6, 0.45, 1.8), "box": (0.5, 0.4, 0.3),
+    "bin": (0.3, 0.3, 0.5), "desk": (0.7, 0.5, 0.72), "shelf": (0.6, 0.3, 2.0), "stool": (0.35, 0.35, 0.45),
 }  # fmt: skip
+"""Small enough for no two in neighbouring slots to overlap by a tenth."""
 SMALL = {"cup": (0.08, 0.08, 0.1), "book": (0.2, 0.15, 0.03), "laptop": (0.35, 0.25, 0.2)}
 ROOM_M = 4.0
 SLOT_M = 1.0
