@@ -5,6 +5,9 @@ The file is an SQLite database (`application_id` and `user_version` mark format 
     document (name, checksum, data)                  JSON, zstd: contents, config, graph, statements, …
     chunk    (layer, field, number, checksum, data)  an array's bytes, C order, at most 16 MiB each, zstd
 
+The graph is in its compact form (`scenegraph.graph.compact`): the document `graph` and the arrays of the layer `graph`.
+A file may hold a graph and nothing else; `load_graph` reads no more than the graph from any file.
+
 The document `contents` names all other documents, and of each array the dtype, the shape and the number of its chunks.
 The file is written to a sibling, flushed to the disk and renamed over the old one: whatever kills the program or the
 machine, a reader finds the old world or the new one. Every row carries a BLAKE2b checksum of its key and its data.
@@ -27,16 +30,17 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from scenegraph.errors import InvalidGraphValue, StoreCorrupt, StoreError, StoreForeign, StoreTooNew
-from scenegraph.graph import Snapshot
+from scenegraph.errors import InvalidGraphValue, InvariantViolated, StoreCorrupt, StoreError, StoreForeign, StoreTooNew
+from scenegraph.graph import SceneGraph, pack, unpack
 
-__all__ = ["FORMAT_VERSION", "WorldParts", "load_world", "save_world"]
+__all__ = ["FORMAT_VERSION", "WorldParts", "load_graph", "load_world", "save_graph", "save_world"]
 
-FORMAT_VERSION = 2
-"""Version of the file format; a newer file is refused, an older one is read."""
+FORMAT_VERSION = 3
+"""Version of the file format; files of other versions are refused."""
 
 _Description = tuple[str, str, str, tuple[int, ...], int]  # layer, array, dtype, shape, number of chunks
 _APPLICATION_ID = 0x53474D31  # "SGM1"
+_GRAPH = "graph"
 _CHUNK_BYTES = 16 << 20
 _SCHEMA = """
 CREATE TABLE document (name TEXT PRIMARY KEY, checksum BLOB NOT NULL, data BLOB NOT NULL) STRICT;
@@ -51,13 +55,13 @@ class WorldParts:
 
     config    : JSON values
     layers    : for each map layer its arrays by name (any shape, numeric or text dtypes)
-    graph     : the scene graph at its present revision
-    documents : everything else as JSON values by name: the graph's history, statements, counters, …
+    graph     : the scene graph with its past
+    documents : everything else as JSON values by name: statements, counters, …
     """
 
     config: dict[str, Any]
     layers: dict[str, dict[str, NDArray[Any]]] = field(default_factory=dict)
-    graph: Snapshot = field(default_factory=lambda: Snapshot(revision=0, stamp_ns=0))
+    graph: SceneGraph = field(default_factory=SceneGraph)
     documents: dict[str, Any] = field(default_factory=dict)
 
 
@@ -91,16 +95,17 @@ def load_world(path: str | Path) -> WorldParts:
     Raises StoreForeign when `path` is no stored world, StoreTooNew when a newer program wrote it, StoreCorrupt when it
     is truncated or damaged, StoreError when it cannot be opened.
     """
-    path = Path(path)
-    _check_header(path)
-    try:
-        with contextlib.closing(
-            sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
-        ) as database:
-            _check_version(path, database)
-            return _read(path, database)
-    except sqlite3.DatabaseError as error:
-        raise StoreCorrupt(f"{path}: truncated or damaged: {error}", hint="restore it from a copy") from error
+    return _load(Path(path), only_graph=False)
+
+
+def save_graph(path: str | Path, graph: SceneGraph) -> None:
+    """Write a graph without a map, as `save_world` writes a world, and with the same errors."""
+    save_world(path, WorldParts(config={}, graph=graph))
+
+
+def load_graph(path: str | Path) -> SceneGraph:
+    """Read the graph, with its past, that `save_graph` or `save_world` wrote; the errors are those of `load_world`."""
+    return _load(Path(path), only_graph=True).graph
 
 
 # -- writing ----------------------------------------------------------------------------------------------------------
@@ -114,14 +119,15 @@ def _write(partial: Path, parts: WorldParts) -> None:
             f"PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; "
             f"PRAGMA application_id = {_APPLICATION_ID}; PRAGMA user_version = {FORMAT_VERSION}; {_SCHEMA} BEGIN;"
         )
+        arrays_of_graph, graph = pack(parts.graph)
         described = [
             _write_array(database, compressor.compress, layer, name, array)
-            for layer, arrays in parts.layers.items()
+            for layer, arrays in {**parts.layers, _GRAPH: arrays_of_graph}.items()
             for name, array in arrays.items()
         ]
         documents = {
             "config": _json("config", parts.config),
-            "graph": parts.graph.model_dump_json().encode(),
+            _GRAPH: _json(_GRAPH, graph),
             **{f"document:{name}": _json(name, value) for name, value in parts.documents.items()},
         }
         documents["contents"] = _json("contents", {"documents": list(documents), "arrays": described})
@@ -194,6 +200,18 @@ def _runs(process: int) -> bool:
 # -- reading ----------------------------------------------------------------------------------------------------------
 
 
+def _load(path: Path, *, only_graph: bool) -> WorldParts:
+    _check_header(path)
+    try:
+        with contextlib.closing(
+            sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
+        ) as database:
+            _check_version(path, database)
+            return _read(path, database, only_graph)
+    except sqlite3.DatabaseError as error:
+        raise StoreCorrupt(f"{path}: truncated or damaged: {error}", hint="restore it from a copy") from error
+
+
 def _check_header(path: Path) -> None:
     """`path` is a file that begins as a stored world does."""
     try:
@@ -215,24 +233,27 @@ def _check_version(path: Path, database: sqlite3.Connection) -> None:
     if version < FORMAT_VERSION:
         raise StoreForeign(
             f"{path}: format version {version}, but this program reads version {FORMAT_VERSION}",
-            hint="the voxels of that version cannot be converted: map the recording again",
+            hint="what that version kept cannot be converted: map the recording again",
         )
 
 
-def _read(path: Path, database: sqlite3.Connection) -> WorldParts:
+def _read(path: Path, database: sqlite3.Connection, only_graph: bool) -> WorldParts:
     contents = json.loads(_document(path, database, "contents"))
-    documents: dict[str, Any] = {}
-    for name in contents["documents"]:
-        if name != "graph":
-            documents[name] = json.loads(_document(path, database, name))
-    try:
-        graph = Snapshot.model_validate_json(_document(path, database, "graph"))
-    except InvalidGraphValue as error:
-        raise StoreCorrupt(f"{path}: the graph: {error}") from None
+    documents: dict[str, Any] = {
+        name: json.loads(_document(path, database, name))
+        for name in contents["documents"]
+        if not only_graph or name == _GRAPH
+    }
     layers: dict[str, dict[str, NDArray[Any]]] = {}
     for layer, name, dtype, shape, n_chunks in contents["arrays"]:
-        layers.setdefault(layer, {})[name] = _read_array(path, database, (layer, name, dtype, shape, n_chunks))
-    config = documents.pop("config")
+        if not only_graph or layer == _GRAPH:
+            array = _read_array(path, database, (layer, name, dtype, shape, n_chunks))
+            layers.setdefault(layer, {})[name] = array
+    try:
+        graph = unpack(layers.pop(_GRAPH, {}), documents.pop(_GRAPH))
+    except (InvalidGraphValue, InvariantViolated) as error:
+        raise StoreCorrupt(f"{path}: the graph: {error}") from None
+    config = documents.pop("config", {})
     return WorldParts(config, layers, graph, {name.removeprefix("document:"): v for name, v in documents.items()})
 
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from mapping.observations import RobotDescription
 from scenegraph.config import WorldConfig
-from scenegraph.errors import StoreCorrupt
-from scenegraph.graph import SceneGraph
+from scenegraph.errors import StoreCorrupt, StoreForeign
 from scenegraph.statements import read
 from scenegraph.store import WorldParts, load_world, save_world
 
@@ -25,9 +24,8 @@ def save(world: World, path: Path) -> None:
         WorldParts(
             config=world.config.model_dump(mode="json"),
             layers={**world.map.state(), "rooms": world.perception.rooms.state()},
-            graph=world.graph.snapshot(),
+            graph=world.graph,
             documents={
-                "history": world.graph.history.document(),
                 "labels": world.labels.document(),
                 "robots": [_robot(robot) for robot in world.robots.values()],
                 "statements": [statement.as_json() for statement in world.statements],
@@ -41,11 +39,13 @@ def save(world: World, path: Path) -> None:
 def load(kind: type[W], path: Path) -> W:
     """Read a world; its reasoner is told all facts anew."""
     parts = load_world(path)
+    if not parts.layers:
+        raise StoreForeign(f"{path}: a graph without a map", hint="read it with scenegraph.store.load_graph")
     world = kind(WorldConfig(**parts.config))
     try:
         documents = parts.documents
         world.map.restore(parts.layers)
-        world.graph = SceneGraph.from_snapshot(parts.graph, history=documents["history"])
+        world.graph = parts.graph
         world.labels.restore(documents["labels"])
         world.event_log.restore(documents["events"])
         world.robots = {r["robot"]: RobotDescription(**r) for r in documents["robots"]}

@@ -1,6 +1,7 @@
 """The scene graph model: nodes, edges, numbered changes, the past, mirrors. Knows neither maps nor rules nor the
 wire."""
 
+from scenegraph.graph.compact import pack, unpack
 from scenegraph.graph.delta import Delta, EdgeChanges, GraphChanges, NodeChanges, Snapshot
 from scenegraph.graph.edge import Edge, EdgeKey
 from scenegraph.graph.history import History
@@ -29,5 +30,7 @@ __all__ = [
     "SceneGraph",
     "Snapshot",
     "Tombstone",
+    "pack",
+    "unpack",
     "valid_identifier",
 ]

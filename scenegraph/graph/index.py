@@ -33,11 +33,13 @@ class NodeIndex(Mapping[str, Node]):
         self._made: list[Node | None] = [None] * self.n_slots
         self._n_unmade = self.n_slots
         self._free: list[int] = []
+        self._changed: set[int] = set()
 
     def copy(self) -> Self:
         other = type(self).__new__(type(self))
         other.__dict__.update(self.__dict__)
         other.slot_of, other._made, other._free = self.slot_of.copy(), self._made.copy(), self._free.copy()
+        other._changed = self._changed.copy()
         return other
 
     def __getitem__(self, node_id: str) -> Node:
@@ -79,11 +81,13 @@ class NodeIndex(Mapping[str, Node]):
         elif self._made[slot] is None:
             self._n_unmade -= 1
         self._made[slot] = node
+        self._changed.add(slot)
 
     def drop(self, node_id: str) -> Node:
         node = self[node_id]
         slot = self.slot_of.pop(node_id)
         self._made[slot] = None
+        self._changed.discard(slot)
         if self.table is None or slot >= len(self.table):
             self._free.append(slot)  # a row's slot is never given to another: edges of the table name it
         return node
@@ -96,6 +100,19 @@ class NodeIndex(Mapping[str, Node]):
 
     def __contains__(self, node_id: object) -> bool:
         return node_id in self.slot_of
+
+    def as_table(self) -> NodeTable:
+        """All nodes, oldest first; those that came with a table are not made for it."""
+        slots = np.array(list(self.slot_of.values()), np.int64)
+        if self.table is None:
+            return NodeTable.of(self.all())
+        if not self._changed and len(slots) == len(self.table):
+            return self.table
+        kept = np.array([slot not in self._changed for slot in slots.tolist()], np.bool_)
+        changed = NodeTable.of(self.many(slots[~kept].tolist()))
+        place = np.empty(len(slots), np.int64)
+        place[kept], place[~kept] = np.arange(kept.sum()), kept.sum() + np.arange(len(changed))
+        return self.table.take(slots[kept]).joined(changed).take(place)
 
     def all(self) -> list[Node]:
         """All nodes, oldest first."""
@@ -240,6 +257,19 @@ class GraphIndex:
         for begins, index in ((True, self._by_source), (False, self._by_target)):
             yield from self._stored_at(node_id, None, begins=begins)
             yield from _at(index.get(node_id), None)
+
+    def tables(self) -> tuple[NodeTable, EdgeTable]:
+        """Everything as tables, in the order of `find_nodes` and `find_edges`."""
+        nodes = self.nodes.as_table()
+        row_of = {node_id: row for row, node_id in enumerate(nodes.ids)}
+        put = EdgeTable.of((e for pairs in self._by_relation.values() for e in pairs.values()), row_of, nodes.ids)
+        if self._stored is None:
+            return nodes, put
+        left = self._stored.left()
+        if nodes.ids is not left.ids:
+            new_row = np.array([row_of.get(node_id, -1) for node_id in left.ids], np.int32)
+            left = left.between(nodes.ids, new_row)
+        return nodes, left.joined(put) if len(put) else left
 
     def relations(self) -> list[str]:
         stored = [] if self._stored is None else self._stored.relations()

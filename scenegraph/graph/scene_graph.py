@@ -373,6 +373,10 @@ class SceneGraph:
             tombstones=tuple(self._tombstones.values()),
         )
 
+    def tables(self) -> tuple[NodeTable, EdgeTable]:
+        """All nodes and edges as tables, which `from_tables` takes; what came as tables costs next to nothing."""
+        return self._index.tables()
+
     @classmethod
     def from_tables(
         cls,
@@ -382,17 +386,19 @@ class SceneGraph:
         revision: int = 1,
         stamp_ns: int | None = None,
         tombstones: Iterable[Tombstone] = (),
-        history_limit: int = 100_000,
+        history: History | None = None,
     ) -> Self:
-        """A graph of many nodes and edges at once, whose past begins here; the edges' table is one of the nodes' ids.
+        """A graph of many nodes and edges at once; the edges' table is one of the nodes' ids.
 
-        The tables are kept as they are, and a node or edge is made when it is asked for. Without `stamp_ns` the graph
-        is as old as what was seen last. Raises InvariantViolated when the tables are not a consistent graph.
+        The tables are kept as they are, and a node or edge is made when it is asked for. Without `history` the past
+        begins here, and without `stamp_ns` the graph is as old as what was seen last. Raises InvariantViolated when the
+        tables are not a consistent graph.
         """
         if edges is not None and edges.ids is not nodes.ids and edges.ids != nodes.ids:
             raise InvariantViolated("the tables of edges and nodes differ in their nodes")
-        graph = cls(history_limit=history_limit)
+        graph = cls()
         graph._index = GraphIndex(nodes, edges)
+        graph._history = History() if history is None else history
         graph._tombstones = {stone.id: stone for stone in tombstones}
         graph._revision = revision
         graph._stamp_ns = int(nodes.last_seen_ns.max(initial=0)) if stamp_ns is None else stamp_ns

@@ -51,6 +51,10 @@ class StoredEdges:
         """How many are left."""
         return int(self._left.sum())
 
+    def left(self) -> EdgeTable:
+        """The table of those that are left."""
+        return self.table if self._alive.all() else self.table.take(np.flatnonzero(self._alive))
+
     def relations(self) -> list[str]:
         """The relations of those that are left."""
         return [name for name, left in zip(self.table.relations, self._left.tolist(), strict=False) if left]

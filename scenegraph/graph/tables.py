@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar, overload
 
 import numpy as np
@@ -18,6 +18,14 @@ __all__ = ["EdgeTable", "NodeTable"]
 
 V = TypeVar("V", Node, Edge)
 
+_NODE_COLUMNS = (
+    *("layer", "label", "position", "boxed", "center", "size", "rotation_wxyz"),
+    *("confidence", "first_seen_ns", "last_seen_ns"),
+)
+_EDGE_COLUMNS = (
+    *("relation", "source", "target", "value", "threshold", "confidence"),
+    *("first_seen_ns", "last_seen_ns", "evidence_of"),
+)
 _NO_ATTRIBUTES = Attributes()
 _NO_ROTATION = (1.0, 0.0, 0.0, 0.0)
 
@@ -169,6 +177,30 @@ class NodeTable(_Table[Node]):
     def __len__(self) -> int:
         return len(self.ids)
 
+    def take(self, rows: NDArray[np.integer[Any]]) -> NodeTable:
+        """The table of these rows, in this order."""
+        columns = {name: _frozen(getattr(self, name)[rows]) for name in _NODE_COLUMNS}
+        ids, numbers = self.ids, rows.tolist()
+        attributes = {k: self.attributes[n] for k, n in enumerate(numbers) if n in self.attributes}
+        return NodeTable(ids=tuple(ids[n] for n in numbers), labels=self.labels, attributes=attributes, **columns)
+
+    def joined(self, other: NodeTable) -> NodeTable:
+        """The rows of this table, and then those of another."""
+        labels = {label: n for n, label in enumerate(dict.fromkeys((*self.labels, *other.labels)))}
+        recode = np.array([labels[label] for label in other.labels], np.int32)
+        columns = {
+            name: _frozen(np.concatenate([getattr(self, name), getattr(other, name)]))
+            for name in _NODE_COLUMNS
+            if name != "label"
+        }
+        return NodeTable(
+            ids=(*self.ids, *other.ids),
+            labels=tuple(labels),
+            label=_frozen(np.concatenate([self.label, recode[other.label]])),
+            attributes={**self.attributes, **{len(self) + n: given for n, given in other.attributes.items()}},
+            **columns,
+        )
+
     def rows(self, rows: NDArray[np.integer[Any]]) -> list[Node]:
         """The nodes of these rows, in order."""
         boxed = self.boxed[rows]
@@ -317,6 +349,44 @@ class EdgeTable(_Table[Edge]):
 
     def __len__(self) -> int:
         return len(self.source)
+
+    def take(self, rows: NDArray[np.integer[Any]]) -> EdgeTable:
+        """The table of these rows, in this order."""
+        columns: dict[str, Any] = {name: _frozen(getattr(self, name)[rows]) for name in _EDGE_COLUMNS}
+        attributes = (
+            {k: self.attributes[n] for k, n in enumerate(rows.tolist()) if n in self.attributes}
+            if self.attributes
+            else {}
+        )
+        return replace(self, attributes=attributes, **columns)
+
+    def between(self, ids: tuple[str, ...], row_of: NDArray[np.integer[Any]]) -> EdgeTable:
+        """The same edges between nodes in other rows: the node of row n is now that of row `row_of[n]` of `ids`."""
+        source, target = (_frozen(row_of[end].astype(np.int32)) for end in (self.source, self.target))
+        return replace(self, ids=ids, source=source, target=target)
+
+    def joined(self, other: EdgeTable) -> EdgeTable:
+        """The edges of this table, and then those of another between the same nodes."""
+        if self.ids is not other.ids and self.ids != other.ids:
+            raise InvariantViolated("two tables of edges differ in their nodes")
+        relations = {name: n for n, name in enumerate(dict.fromkeys((*self.relations, *other.relations)))}
+        evidence = {items: n for n, items in enumerate(dict.fromkeys((*self.evidence, *other.evidence)))}
+        recode = np.array([relations[name] for name in other.relations], np.uint16)
+        again = np.array([evidence[items] for items in other.evidence], np.int32)
+        columns = {
+            name: _frozen(np.concatenate([getattr(self, name), getattr(other, name)]))
+            for name in _EDGE_COLUMNS
+            if name not in ("relation", "evidence_of")
+        }
+        return EdgeTable(
+            ids=self.ids,
+            relations=tuple(relations),
+            relation=_frozen(np.concatenate([self.relation, recode[other.relation]])),
+            evidence=tuple(evidence),
+            evidence_of=_frozen(np.concatenate([self.evidence_of, again[other.evidence_of]])),
+            attributes={**self.attributes, **{len(self) + n: given for n, given in other.attributes.items()}},
+            **columns,
+        )
 
     def rows(self, rows: NDArray[np.integer[Any]]) -> list[Edge]:
         """The edges of these rows, in order."""

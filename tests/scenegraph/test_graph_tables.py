@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import json
 import pickle
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenegraph.errors import InvalidGraphValue, InvariantViolated, SceneGraphError
-from scenegraph.graph import Box, Edge, EdgeTable, GraphChanges, Node, NodeTable, SceneGraph
+from scenegraph.graph import Box, Edge, EdgeTable, GraphChanges, Node, NodeTable, SceneGraph, pack, unpack
 from tests.scenegraph.test_graph import changes, consistent, histories, keys, kitchen
 from tests.support.many_boxes import building
 
@@ -45,12 +47,17 @@ def test_a_graph_of_tables_changes_as_any_other(history: list[tuple[list, int]])
             assert told[0].revision == told[1].revision  # type: ignore[attr-defined]
         assert two == one
         assert consistent(two)
+        nodes, edges = two.tables()
+        assert (list(nodes), list(edges)) == (two.nodes(), two.edges())
         if moments[-1][0] == two.stamp_ns:
             moments.pop()
         moments.append((two.stamp_ns, two.snapshot()))
+    arrays, document = pack(two)
+    reread = unpack(arrays, json.loads(json.dumps(document)))
+    assert reread.snapshot() == two.snapshot()
     for moment, snapshot in moments:
-        assert two.as_of(moment) == SceneGraph.from_snapshot(snapshot)
-    assert from_tables(two) == two
+        for past in (two, reread):
+            assert past.as_of(moment) == SceneGraph.from_snapshot(snapshot)
 
 
 def test_values_of_a_table_are_as_good_as_any() -> None:
@@ -118,6 +125,55 @@ def test_a_bad_column_of_edges_is_named(fields: dict[str, object], said: str) ->
     assert EdgeTable.columns(**good)[1].value is None
     with pytest.raises(InvalidGraphValue, match=said):
         EdgeTable.columns(**{**good, **fields})
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.tuples(*[st.sampled_from([0.0, -0.0, 0.1, 1 / 3, 1e9, 1e300, 0.00001])] * 3),
+            st.sampled_from([None, 0.0, 0.12345, 1 / 7, 1e-9, -3.0]),
+            st.integers(-(2**62), 2**62),
+            st.sampled_from(["cup", "Süße Tür", "", "a\nb"]),
+            st.sampled_from([(), (1, "robot/camera@1"), (2**70,)]),
+            st.sampled_from([{}, {"name": "x", "polygon": [[0.1, 2]], "n": None}]),
+        ),
+        max_size=5,
+    )
+)
+def test_whatever_is_in_a_graph_is_in_its_compact_form(drawn: list) -> None:
+    graph = SceneGraph()
+    wishes = GraphChanges()
+    for n, (position, value, stamp, label, evidence, attributes) in enumerate(drawn):
+        box = None if value is None else Box(center=position, size=np.abs(position))
+        seen = {"first_seen_ns": stamp, "last_seen_ns": stamp, "attributes": attributes}
+        wishes.put(Node(id=f"n_{n}", layer="object", label=label, position=position, box=box, **seen))
+        if n:
+            wishes.put(Edge(relation="on", source=f"n_{n}", target="n_0", value=value, evidence=evidence, **seen))
+    graph.commit(wishes, 5)
+    arrays, document = pack(graph)
+    again = unpack(arrays, json.loads(json.dumps(document)))
+    assert again == graph
+    assert again.snapshot().model_dump_json() == graph.snapshot().model_dump_json()  # also the signs of zeros
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda a, d: a.pop("edge_source"),
+        lambda a, d: a.update(edge_source=a["edge_source"] + 100),
+        lambda a, d: a.update(node_layer=a["node_layer"] + 9),
+        lambda a, d: a.update(ids=a["ids"][:-9]),
+        lambda a, d: a.update(node_position=a["node_position"][1:]),
+        lambda a, d: d.update(relations=[]),
+        lambda a, d: d.pop("tombstones"),
+        lambda a, d: d.update(node_attributes=3),
+    ],
+)
+def test_a_compact_form_that_does_not_fit_is_refused(spoil: Callable[[dict, dict], object]) -> None:
+    arrays, document = pack(kitchen())
+    spoil(arrays, document)
+    with pytest.raises((InvalidGraphValue, InvariantViolated)):
+        unpack(arrays, document)
 
 
 def test_tables_that_are_no_graph_are_refused() -> None:

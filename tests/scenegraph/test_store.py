@@ -14,7 +14,8 @@ import pytest
 from scenegraph import store
 from scenegraph.errors import StoreCorrupt, StoreError, StoreForeign, StoreTooNew
 from scenegraph.graph import GraphChanges, Node, SceneGraph
-from scenegraph.store import WorldParts, load_world, save_world
+from scenegraph.store import WorldParts, load_graph, load_world, save_graph, save_world
+from scenegraph.world import World
 
 
 def parts(n: int = 3) -> WorldParts:
@@ -47,8 +48,8 @@ def parts(n: int = 3) -> WorldParts:
             },
             "names": {"classes": np.array(["wall", "Stuhl"])},
         },
-        graph=graph.snapshot(),
-        documents={"history": graph.history.document(), "statements": ["rename(room_2, 'guest room')"], "n": None},
+        graph=graph,
+        documents={"statements": ["rename(room_2, 'guest room')"], "n": None},
     )
 
 
@@ -69,8 +70,9 @@ def test_a_world_comes_back_as_it_was(tmp_path: Path) -> None:
     save_world(path, parts())
     found = load_world(path)
     assert_same(found, parts())
-    graph = SceneGraph.from_snapshot(found.graph, history=found.documents["history"])
-    assert len(graph.as_of(6)) == 0
+    assert found.graph.snapshot() == parts().graph.snapshot()
+    assert len(found.graph.as_of(6)) == 0
+    assert load_graph(path) == parts().graph
     assert os.listdir(tmp_path) == [path.name]
 
 
@@ -147,6 +149,16 @@ def test_a_newer_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         save_world(tmp_path / "w", parts())
     with pytest.raises(StoreTooNew, match="99"):
         load_world(tmp_path / "w")
+
+
+def test_a_graph_alone_comes_back_and_is_no_world(tmp_path: Path) -> None:
+    graph = parts(50).graph
+    save_graph(tmp_path / "g", graph)
+    again = load_graph(tmp_path / "g")
+    assert again.snapshot() == graph.snapshot()
+    assert len(again.as_of(6)) == 0
+    with pytest.raises(StoreForeign, match="a graph without a map"):
+        World.load(tmp_path / "g")
 
 
 def test_a_file_whose_voxels_are_of_another_kind_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
