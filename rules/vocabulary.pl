@@ -123,7 +123,7 @@ signature(object(thing), "a movable or free-standing thing").
 signature(room(thing), "a room").
 signature(structure(thing), "a wall, floor, ceiling, door or other part of the building").
 signature(agent(thing), "a robot or a person").
-signature(place(thing), "a place in free space").
+signature(place(thing), "a place where a robot can stand").
 
 object(Id) :- node(Id, object).
 room(Id) :- node(Id, room).
@@ -156,10 +156,14 @@ touching(A, B) :- holds(touching, A, B).
 next_to(A, B) :- holds(next_to, A, B).
 
 %   within(?A, ?B): A is in B, or in a room of the storey or building B, or in a storey of the building B.
+%   Whoever asks what is in a room does not mean the places in it: of these it is only told where they are.
 within(A, B) :-
-    holds(in, A, B).
+    var(A),
+    !,
+    ( holds(in, A, B) ; within_part(A, B) ),
+    \+ node(A, place).
 within(A, B) :-
-    within_part(A, B).
+    ( holds(in, A, B) ; within_part(A, B) ).
 
 within_part(A, B) :-
     (   nonvar(B)
@@ -292,16 +296,17 @@ possibly(gap(A, B, Gap)) :-
     !,
     mutual(gap, A, B, Value),
     ( Value == unknown -> true ; Gap = Value ).
+possibly(in(A, B)) :-
+    !,
+    possibly_within(A, B).
+possibly(contains(A, B)) :-
+    !,
+    possibly_within(B, A).
 possibly(Goal) :-
     Goal =.. [Relation, A, B],
     graded(Relation),
     !,
-    (   possibly_holds(Relation, A, B)
-    ;   Relation == in,
-        within_part(A, B)
-    ;   Relation == contains,
-        within_part(B, A)
-    ).
+    possibly_holds(Relation, A, B).
 possibly(Goal) :-
     own_frame(Goal, B),
     viewer(Viewer),
@@ -314,6 +319,11 @@ possibly(Goal) :-
     ).
 possibly(Goal) :-
     call(Goal).
+
+possibly_within(A, B) :-
+    ( var(A) -> Listed = true ; Listed = false ),
+    ( possibly_holds(in, A, B) ; within_part(A, B) ),
+    ( Listed == true -> \+ node(A, place) ; true ).
 
 graded(Relation) :-
     (   symmetric(Relation)

@@ -36,6 +36,11 @@ def follows_rules(edge: Edge) -> bool:
     return edge.relation in DERIVED and not part.startswith(PARTS)
 
 
+def is_told(edge: Edge) -> bool:
+    """Whether the rules are told of an edge: not of what they derive, nor of the ways between places."""
+    return edge.relation != "connected_to" and not follows_rules(edge) and not edge.target.startswith("place_")
+
+
 class Meaning:
     """Keeps the knowledge base in step with the graph, and the graph with what the rules derive."""
 
@@ -90,8 +95,12 @@ class Meaning:
             fresh = frozenset(facts.node_facts(node))
             put += fresh - self._facts_of.get(node.id, frozenset())
             self._facts_of[node.id] = fresh
-        put += [facts.edge_fact(step) for step in changes.steps if isinstance(step, Edge) and not follows_rules(step)]
-        deleted += [facts.edge_key_fact(step) for step in changes.steps if isinstance(step, EdgeKey)]
+        put += [facts.edge_fact(step) for step in changes.steps if isinstance(step, Edge) and is_told(step)]
+        deleted += [
+            facts.edge_key_fact(step)
+            for step in changes.steps
+            if isinstance(step, EdgeKey) and step.relation != "connected_to"
+        ]
         for node_id in gone:
             self._facts_of.pop(node_id, None)
         self.knowledge.update(put=put, deleted=deleted, forget=sorted(gone))
@@ -128,8 +137,8 @@ class Meaning:
 
     def _type_rooms(self, changes: GraphChanges, nodes: dict[str, Node], gone: set[str], graph: SceneGraph) -> None:
         """Write the type that the rules give a room, with the reason, where it changed."""
-        touched = {s.target for s in changes.steps if isinstance(s, Edge) and s.relation == "in"}
-        touched |= {s.target for s in changes.steps if isinstance(s, EdgeKey) and s.relation == "in"}
+        housed = [s for s in changes.steps if isinstance(s, Edge | EdgeKey) and s.relation == "in"]
+        touched = {s.target for s in housed if not s.source.startswith("place_")}
         rooms = {i: graph.node(i) for i in touched - gone if i in graph and graph.node(i).layer == "room"}
         rooms.update({i: n for i, n in nodes.items() if n.layer == "room"})
         for room_id in sorted(rooms):
@@ -193,7 +202,7 @@ class Meaning:
         for node in graph.nodes():
             self._facts_of[node.id] = frozenset(facts.node_facts(node))
             put += self._facts_of[node.id]
-        put += [facts.edge_fact(edge) for edge in graph.edges() if not follows_rules(edge)]
+        put += [facts.edge_fact(edge) for edge in graph.edges() if is_told(edge)]
         self.knowledge.update(put=put)
         for told in statements:
             self.accept(told)

@@ -29,7 +29,7 @@ from scenegraph.config import WorldConfig
 from scenegraph.detections import DetectionDesk, sightings
 from scenegraph.errors import SceneGraphError
 from scenegraph.events import Event, EventLog, events_of
-from scenegraph.graph import Delta, GraphChanges, Node, SceneGraph
+from scenegraph.graph import LAYERS, Delta, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 from scenegraph.labels import Labels
 from scenegraph.meaning import Meaning
@@ -64,7 +64,7 @@ class World:
         self.event_log = EventLog()
         self._knowledge = KnowledgeBase(self.config.rule_files)
         self.meaning = Meaning(self._knowledge, self.config)
-        self.perception = Perception(self.map, self.labels, self.meaning)
+        self.perception = Perception(self.map, self.labels, self.meaning, self.config.robot_radius_m)
         self._desk = DetectionDesk()
         self.T_map_camera: SE3 | None = None
         """Where the last image was taken from, as the map corrected its pose."""
@@ -210,9 +210,7 @@ class World:
                 for name, layer in self.map.layers.items()
             },
             "planes": len(self.map.planes),
-            "nodes": {
-                layer: len(self.graph.nodes(layer)) for layer in ("building", "room", "structure", "object", "agent")
-            },
+            "nodes": {layer: len(self.graph.nodes(layer)) for layer in LAYERS},
             "edges": self.graph.n_edges,
             "classes": [c.name for c in self.labels.classes],
             "facts": len(self._knowledge),

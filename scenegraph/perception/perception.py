@@ -21,6 +21,7 @@ from scenegraph.perception import told_rooms
 from scenegraph.perception.boxes import Boxes
 from scenegraph.perception.building import Building
 from scenegraph.perception.clusters import Clusters
+from scenegraph.perception.free_places import FreePlaces
 from scenegraph.perception.movers import move_nodes
 from scenegraph.perception.objects import Objects
 from scenegraph.perception.passages import Passages
@@ -43,7 +44,7 @@ BESIDE_VOXELS = 1.5
 class Perception:
     """All that looks at the map and writes the graph; each part looks only at what changed."""
 
-    def __init__(self, map_: LayeredMap, labels: Labels, meaning: Meaning) -> None:
+    def __init__(self, map_: LayeredMap, labels: Labels, meaning: Meaning, robot_radius_m: float) -> None:
         self._map = map_
         self._labels = labels
         self._meaning = meaning
@@ -56,6 +57,7 @@ class Perception:
         self.objects.inherited = self._known_as
         self.rooms = Rooms()
         self.passages = Passages()
+        self.free_places = FreePlaces(robot_radius_m)
         self.building = Building(map_.planes, map_.occupancy, self._storey_at)
         self.relations = Relations(meaning.is_container)
 
@@ -87,7 +89,7 @@ class Perception:
         room_changes, moved_rooms = self.rooms.update(self._map.occupancy, seen.occupancy, labelled, graph, stamp_ns)
         changes.extend(_still_possible(room_changes, graph))
 
-        self._connect_rooms(changes, moved_rooms, graph, stamp_ns)
+        self._connect_rooms(changes, moved_rooms, seen.occupancy.blocks, graph, stamp_ns)
         _keep_told(changes, graph)
         measured = self.relations.update(self.objects.shapes, self.objects.labels, reshaped, self.building)
         measured.merge(self._room_shares(reshaped, moved_rooms, graph))
@@ -166,19 +168,23 @@ class Perception:
     ) -> tuple[MeasurementChange, set[str]]:
         """All that follows where an operator made rooms: what was measured anew, and the ids that it is about."""
         changes.extend(room_changes)
-        self._connect_rooms(changes, rooms, graph, stamp_ns)
+        self._connect_rooms(changes, rooms, np.empty((0, 3), np.int64), graph, stamp_ns)
         _keep_told(changes, graph)
         affected = self.relations.things_in(rooms)
         return self._room_shares(set(), rooms, graph), rooms | affected
 
-    def _connect_rooms(self, changes: GraphChanges, moved_rooms: set[str], graph: SceneGraph, stamp_ns: int) -> None:
-        """Add what follows from rooms whose ground changed: their storeys, and the passages between them."""
+    def _connect_rooms(
+        self, changes: GraphChanges, moved_rooms: set[str], blocks: Array, graph: SceneGraph, stamp_ns: int
+    ) -> None:
+        """Add what follows from rooms and blocks of space that changed: storeys, passages between rooms, places in
+        them."""
         self.rooms.storeys.write(changes, BUILDING, graph, stamp_ns)
         if moved_rooms:
             doors = {i: s for i, s in self.objects.shapes.items() if self.objects.labels[i] == "door"}
             changes.extend(
                 self.passages.update(self.rooms.storeys, moved_rooms, doors, self._map.occupancy, graph, stamp_ns)
             )
+        changes.extend(self.free_places.update(self._map.occupancy, blocks, self.rooms, moved_rooms, graph, stamp_ns))
 
     # -- state --------------------------------------------------------------------------------------------
     def document(self) -> dict[str, Any]:
@@ -198,6 +204,7 @@ class Perception:
             self.boxes.restore(document["boxes"])
         self.rooms.restore(rooms, graph)
         self.passages.restore(graph)
+        self.free_places.restore(self._map.occupancy, self.rooms, graph)
         self.structure.restore(document["structure"], self._map.planes, graph)
         if "clusters" in document:
             self.clusters.restore(document["clusters"], self._map, self.structure.labels, graph)
