@@ -139,7 +139,9 @@ class InstanceMap(PackedLayer):
         self._next_id = 1
         self._together: defaultdict[tuple[int, int], int] = defaultdict(int)
         self._id_of = np.zeros(BACKGROUND + 1, np.int64)  # of each number, 0 where it is free
+        self._class_of = np.zeros(BACKGROUND + 1, np.uint16)  # of each number; 0 for none, and what was seen once
         self._sizes = np.zeros(BACKGROUND + 1, np.int64)  # voxels in which each number leads
+        self._unsure: set[int] = set()  # not confirmed, or doubted since they were last looked at
 
     def parameters(self) -> dict[str, Any]:
         return {"voxel_size_m": self.voxel_size_m, "memory": self.memory}
@@ -233,6 +235,7 @@ class InstanceMap(PackedLayer):
                 self._together[pair] -= 1
         for instance_id in doubted(overlaps, ids):
             self.instances[instance_id].doubts += 1
+            self._unsure.add(instance_id)
         return covered(overlaps, ids)
 
     def _found(self, ids: Array, pixels: Array) -> None:
@@ -248,6 +251,7 @@ class InstanceMap(PackedLayer):
         known.last_seen_ns = max(known.last_seen_ns, stamp_ns)
         known.views += 1
         known.labels[label] = known.labels.get(label, 0.0) + worth
+        self._classify(known)
 
     def _remember_tints(self, pieces: Array, ids: Array, color: Array) -> None:
         """Fold the mean colours of masks into those of their instances."""
@@ -266,7 +270,12 @@ class InstanceMap(PackedLayer):
     def _begin(self, instance: Instance) -> Instance:
         self.instances[instance.id] = instance
         self._id_of[instance.number] = instance.id
+        self._unsure.add(instance.id)
         return instance
+
+    def _classify(self, instance: Instance) -> None:
+        """Note the class of an instance that was seen more than once."""
+        self._class_of[instance.number] = instance.label if instance.views >= CONFIRMED_VIEWS else 0
 
     def _free_number(self) -> int:
         free = np.flatnonzero(self._id_of[1:BACKGROUND] == 0)
@@ -306,20 +315,22 @@ class InstanceMap(PackedLayer):
 
     def _give_up(self) -> set[int]:
         """Take back what is more doubted than seen, or has no voxels and was never confirmed; returns the ids."""
+        unsure = [self.instances[i] for i in sorted(self._unsure) if i in self.instances]
         gone = [
-            i.id
-            for i in self.instances.values()
+            i
+            for i in unsure
             if i.doubts > DOUBTS_A_VIEW * i.views or (i.views < CONFIRMED_VIEWS and self._sizes[i.number] == 0)
         ]
-        for instance_id in gone:
-            self._end(self.instances[instance_id], 0)
-        return set(gone)
+        self._unsure = {i.id for i in unsure if i.views < CONFIRMED_VIEWS}
+        for instance in gone:
+            self._end(instance, 0)
+        return {instance.id for instance in gone}
 
     def _end(self, instance: Instance, heir: int) -> None:
         """Give the votes for an instance to another number, 0 for none."""
         kernels.rename(self.store.fields["evidence"], self._rows(instance)[1], self._sizes, instance.number, heir)
         del self.instances[instance.id]
-        self._id_of[instance.number] = 0
+        self._id_of[instance.number] = self._class_of[instance.number] = 0
         for pair in [p for p in self._together if instance.id in p]:
             del self._together[pair]
 
@@ -332,6 +343,7 @@ class InstanceMap(PackedLayer):
         a.tint = _mixed(a.tint, b.tint)
         for label, votes in b.labels.items():
             a.labels[label] = a.labels.get(label, 0.0) + votes
+        self._classify(a)
 
     # -- as told ------------------------------------------------------------------------------------------
     def join(self, kept: int, lost: int) -> InstanceChange:
@@ -396,6 +408,9 @@ class InstanceMap(PackedLayer):
             instance.tint = tuple(tint)
         for id_, label, weight in state["table.votes"].tolist():
             layer.instances[int(id_)].labels[int(label)] = weight
+        for instance in layer.instances.values():
+            if instance.labels:
+                layer._classify(instance)
         for a, b, n in state["table.together"].tolist():
             layer._together[a, b] = n
         cells = layer.store.cells()
@@ -433,7 +448,7 @@ class InstanceMap(PackedLayer):
         """
         rows = self.store.rows(self.store.cells_of(ijk))
         labels, votes, others = _answers(len(rows))
-        kernels.classes_of(self.store.fields["evidence"], rows, self._classes(), labels, votes, others)
+        kernels.classes_of(self.store.fields["evidence"], rows, self._class_of, labels, votes, others)
         return labels, votes, others
 
     def classes(
@@ -450,23 +465,15 @@ class InstanceMap(PackedLayer):
         labels, votes, others = _answers(len(first))
         store = self.store
         kernels.classes_of_boxes(
-            store.table, store.masks, store.first, store.fields["evidence"], self._classes(), first, beyond, labels,
+            store.table, store.masks, store.first, store.fields["evidence"], self._class_of, first, beyond, labels,
             votes, others,
         )  # fmt: skip
         return labels, votes, others
 
     def query(self, p_map: ArrayLike) -> NDArray[np.uint32]:
         """The instance (N,) that holds each point (N, 3) [m]; 0 where none does that was seen more than once."""
-        ids = np.where(self._classes() > 0, self._id_of, 0)
+        ids = np.where(self._class_of > 0, self._id_of, 0)
         return ids[self._leaders(self.store.rows(self.store.cells_at(p_map)))].astype(np.uint32)
-
-    def _classes(self) -> NDArray[np.uint16]:
-        """(65536,) the class of each number, 0 for none, and for what was seen once."""
-        class_of = np.zeros(BACKGROUND + 1, np.uint16)
-        for instance in self.instances.values():
-            if instance.views >= CONFIRMED_VIEWS:
-                class_of[instance.number] = instance.label
-        return class_of
 
     def _leaders(self, rows: Array) -> NDArray[np.int64]:
         numbers = np.empty(len(rows), np.int64)

@@ -25,6 +25,7 @@ from mapping.observations import (
 from reasoning.knowledge import KnowledgeBase
 from scenegraph import statements, storing
 from scenegraph.answers import Answers, Place, TellResult
+from scenegraph.collector import collector_paused
 from scenegraph.config import WorldConfig
 from scenegraph.detections import DetectionDesk, sightings
 from scenegraph.errors import SceneGraphError
@@ -100,6 +101,7 @@ class World:
         changes = self.perception.perceive(change, self.graph, observation.stamp_ns, _source(observation))
         return self._commit(changes, observation.stamp_ns)
 
+    @collector_paused()
     def _integrate_image(self, image: RgbdImage) -> MapChange:
         T_map_camera = image.T_map_camera or self.frames.sensor_pose(
             image.robot, image.sensor, image.stamp_ns, optical=True
@@ -114,6 +116,7 @@ class World:
         self._desk.keep(image, self.T_map_camera)
         return change
 
+    @collector_paused()
     def _integrate_scan(self, scan: Scan) -> MapChange:
         T_map_sensor = scan.T_map_sensor or self.frames.sensor_pose(
             scan.robot, scan.sensor, scan.stamp_ns, optical=False

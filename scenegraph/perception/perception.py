@@ -12,6 +12,7 @@ from mapping.box_tracks import Sighting
 from mapping.labelled import labels_near
 from mapping.layered import LayeredMap, MapChange
 from mapping.observations import AgentPose
+from scenegraph.collector import collector_paused
 from scenegraph.errors import InvalidStatement
 from scenegraph.facts import class_atom
 from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
@@ -61,6 +62,7 @@ class Perception:
         self.building = Building(map_.planes, map_.occupancy, self._storey_at)
         self.relations = Relations(meaning.is_container)
 
+    @collector_paused()
     def perceive(
         self, seen: MapChange, graph: SceneGraph, stamp_ns: int, source: str, boxes: Sequence[Sighting] = ()
     ) -> GraphChanges:
