@@ -15,6 +15,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from mapping.kernels import rasters
 from mapping.kernels import regions as kernels
 from mapping.layer import Changed
 from mapping.occupancy import OccupancyMap
@@ -30,6 +31,8 @@ NECK_SHARE = 0.72
 """A passage narrower than this share of the rooms it joins parts them: doors do, and wide openings between wall
 stubs."""
 LEAST_ROOM_M2 = 1.2
+UNNOTICED_CELLS = 10
+"""A room that won and lost no more cells than this stays as it was written."""
 SAME_SHARE = 0.3
 """A region is a known room when they share this much of the larger one's ground."""
 OUTDOORS_SHARE = 0.5
@@ -47,6 +50,7 @@ class Rooms:
         self.storeys = Storeys()
         self.footprints: dict[str, shapely.Polygon] = {}
         self.outlined: set[int] = set()
+        self._shifted: dict[int, int] = {}
         self._next = 1
 
     def update(
@@ -101,9 +105,8 @@ class Rooms:
         margin = round(HIDDEN_M / CELL_M) + 3
         low, high = low - margin, high + margin
         window = storey.ground.cover(low, high)
-        reached = np.unique(storey.ground.room[window][~storey.ground.drawn[window]])
-        reached = reached[reached > 0]
-        for room in reached.tolist():
+        reached = _numbers(np.where(storey.ground.drawn[window], 0, storey.ground.room[window]))
+        for room in reached:
             bounds = np.round(np.reshape(self.footprints[f"room_{room}"].bounds, (2, 2)) / CELL_M).astype(np.int64)
             low, high = np.minimum(low, bounds[0] - margin), np.maximum(high, bounds[1] + margin)
         window = storey.ground.cover(low, high)
@@ -116,20 +119,23 @@ class Rooms:
         reach = ndimage.binary_fill_holes(reach) & ~closed
         clearance = ndimage.distance_transform_edt(np.pad(reach, 1))[1:-1, 1:-1]
         labels = kernels.basins(clearance, NECK_SHARE)
-        ids, areas = np.unique(labels[labels > 0], return_counts=True)
-        labels[np.isin(labels, ids[areas * CELL_M**2 < LEAST_ROOM_M2])] = 0
+        small = np.bincount(labels.ravel()) * CELL_M**2 < LEAST_ROOM_M2
+        labels[small[labels]] = 0
         kernels.flood(labels, reach)
         told = np.where(storey.ground.drawn[window], before, 0)
         before[other] = 0
         gained = self._give_to_told(labels, told, before, reach, clearance)
-        after = self._identify(labels, before, reached.tolist(), changes, changed)
+        after = self._identify(labels, before, reached, changes, changed)
         owned = _into_walls(after, barrier)
         storey.ground.room[window] = np.where(other, storey.ground.room[window], owned)
-        for room in np.unique(after[after > 0]).tolist():
-            if ((owned == room) != (before == room)).any():
+        moved = owned != before
+        shifts = np.bincount(owned[moved], minlength=self._next) + np.bincount(before[moved], minlength=self._next)
+        for room in _numbers(after):
+            self._shifted[room] = self._shifted.get(room, 0) + int(shifts[room])
+            if self._shifted[room] > (UNNOTICED_CELLS if f"room_{room}" in graph else 0):
                 self.write(room, storey, np.argwhere(after == room) + low, graph, stamp_ns, changes)
                 changed.add(f"room_{room}")
-        for room in np.unique(gained[gained > 0]).tolist():
+        for room in _numbers(gained):
             cells = np.concatenate([self.floor_of(room, storey), np.argwhere(gained == room) + low])
             self.write(room, storey, np.unique(cells, axis=0), graph, stamp_ns, changes)
             changed.add(f"room_{room}")
@@ -190,9 +196,9 @@ class Rooms:
         high = np.minimum(corners[1], storey.ground.low + storey.ground.room.shape - 1)
         if (low > high).any():
             return
-        for number in np.unique(storey.ground.room[storey.ground.cover(low, high)]).tolist():
+        for number in _numbers(storey.ground.room[storey.ground.cover(low, high)]):
             room = f"room_{number}"
-            if number and room not in written and room in graph and room in self.footprints:
+            if room not in written and room in graph and room in self.footprints:
                 self.write(number, storey, self.floor_of(number, storey), graph, stamp_ns, changes)
 
     # -- state --------------------------------------------------------------------------------------------
@@ -227,20 +233,25 @@ class Rooms:
         self, labels: Array, before: Array, reached: list[int], changes: GraphChanges, changed: set[str]
     ) -> Array:
         """Give each region (W, H) the number of the known room with which it shares most ground, or a new one."""
-        pairs, shared = np.unique(np.stack([labels, before], axis=2).reshape(-1, 2), axis=0, return_counts=True)
-        size = dict(zip(*(a.tolist() for a in np.unique(labels, return_counts=True)), strict=True))
-        old_size = dict(zip(*(a.tolist() for a in np.unique(before, return_counts=True)), strict=True))
+        place = np.zeros(max(int(before.max()), *reached, 0) + 1, np.int64)
+        place[reached] = np.arange(1, len(reached) + 1)
+        width = len(reached) + 1
+        joint = np.bincount((labels.astype(np.int64) * width + place[before]).ravel(), minlength=width)
+        joint = np.pad(joint, (0, -len(joint) % width)).reshape(-1, width)
+        size = {int(region): int(joint[region].sum()) for region in np.flatnonzero(joint[1:].any(axis=1)) + 1}
+        old_size = joint.sum(axis=0)
         common = [
-            (n / max(size[a], old_size[b]), a, b)
-            for (a, b), n in zip(pairs.tolist(), shared.tolist(), strict=True)
-            if a and b
+            (joint[region, k] / max(n, old_size[k]), region, room)
+            for region, n in size.items()
+            for k, room in enumerate(reached, start=1)
+            if joint[region, k]
         ]
         room_of: dict[int, int] = {}
         for share, region, room in sorted(common, key=lambda c: (-c[0], c[1], c[2])):
             if share >= SAME_SHARE and region not in room_of and room not in room_of.values():
                 room_of[region] = room
         for region in size:
-            if region and region not in room_of:
+            if region not in room_of:
                 room_of[region] = self.new_number()
         for room in reached:
             if room not in room_of.values():
@@ -266,6 +277,7 @@ class Rooms:
     ) -> None:
         """Write the node of a room with these cells (N, 2), in row order."""
         room = f"room_{number}"
+        self._shifted.pop(number, None)
         footprint = _outline(cells)
         self.footprints[room] = footprint
         known = graph.node(room) if room in graph else None
@@ -298,7 +310,7 @@ class Rooms:
                 last_seen_ns=stamp_ns if known is None else max(stamp_ns, known.last_seen_ns),
                 attributes={
                     **kept,
-                    "footprint": [[round(x, 3), round(y, 3)] for x, y in footprint.exterior.coords[:-1]],
+                    "footprint": np.round(shapely.get_coordinates(footprint.exterior)[:-1], 3),
                     "storey": storey.number,
                     "floor_z": round(storey.floor_z, 3),
                     "area_m2": round(footprint.area, 2),
@@ -320,13 +332,24 @@ def _into_walls(rooms: Array, barrier: Array) -> Array:
 
 
 def _outline(cells: Array) -> shapely.Polygon:
-    """The outer border [m] of cells (N, 2) in row order, simplified by half a cell."""
-    breaks = np.flatnonzero((np.diff(cells[:, 0]) != 0) | (np.diff(cells[:, 1]) != 1))
-    first, last = cells[np.r_[0, breaks + 1]], cells[np.r_[breaks, len(cells) - 1]]
-    runs = shapely.box(
-        first[:, 0] * CELL_M, first[:, 1] * CELL_M, (first[:, 0] + 1) * CELL_M, (last[:, 1] + 1) * CELL_M
-    )
-    largest = max(shapely.get_parts(shapely.union_all(runs)), key=lambda part: part.area)
-    whole = shapely.Polygon(largest.exterior).buffer(0.5 * CELL_M, join_style="mitre")
+    """The outer border [m] of the largest part of cells (N, 2), simplified by half a cell."""
+    low = cells.min(axis=0) - 1
+    mask = np.zeros(cells.max(axis=0) - low + 2, bool)
+    mask[tuple((cells - low).T)] = True
+    corners, ends = np.empty((4 * len(cells), 2), np.int32), np.empty(len(cells), np.int64)
+    rings = np.split(corners, ends[: rasters.trace(mask, corners, ends)])[:-1]
+    largest = shapely.Polygon((max(rings, key=_twice_area) + low) * CELL_M)
+    whole = largest.buffer(0.5 * CELL_M, join_style="mitre")
     outline: shapely.Polygon = whole.simplify(0.5 * CELL_M)
     return outline
+
+
+def _twice_area(ring: Array) -> float:
+    """Of a ring of corners (N, 2), positive when it runs counter-clockwise."""
+    x, y = ring.astype(np.float64).T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+def _numbers(values: Array) -> list[int]:
+    """The numbers > 0 among values ≥ 0, ascending."""
+    return [int(n) for n in np.flatnonzero(np.bincount(values.ravel())) if n]
