@@ -1,17 +1,21 @@
-"""Doors and openings between rooms: where free space leads from one room into another, and doors that are shut."""
+"""Ways between rooms: where free space leads from one room into another, doors that are shut, and stairs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from mapping.occupancy import FREE, OCCUPIED, OccupancyMap
 from scenegraph.graph import Edge, GraphChanges, Node, SceneGraph
+from scenegraph.perception.neighbours import GroundIndex
 from scenegraph.perception.shapes import Shape
 from scenegraph.perception.storeys import CELL_M, Storey
 
@@ -31,69 +35,139 @@ DIRECTIONS = np.stack([np.cos(np.arange(8) * np.pi / 8), np.sin(np.arange(8) * n
 SIDES_M = (0.2, 0.35)
 """How far from the middle of a shut door its rooms are looked for: a leaf that stands open before a wall has only one
 room beside it."""
+DOOR_OFF_FLOOR_M = 1.0
+"""A door whose lowest part that was seen is farther than this from a floor belongs to another storey."""
+DOORS = ("door",)
+STAIRS = ("stairs", "staircase", "stairway")
+STEP_M = 0.5
+"""Stairs lead to a floor that is no farther than this from their lowest or highest step …"""
+TALLEST_RAIL_M = 1.5
+"""… and a rail may stand so high above that."""
+RING = np.stack([np.cos(np.arange(12) * np.pi / 6), np.sin(np.arange(12) * np.pi / 6)], axis=1)
 SAME_M = 0.5
 """A passage between the same rooms whose middle moved less than this is the same passage."""
 
 
 @dataclass(frozen=True)
 class Passage:
-    """A way between two rooms: `by` is the node of the door or of the passage itself."""
+    """A way between two rooms: `by` is the node of the door, the stairs, or the passage itself.
+
+    floor_z : height of the floor at its lower end [m]
+    """
 
     by: str
     rooms: tuple[str, str]
     at: tuple[float, float]
     width_m: float
     is_open: bool
+    floor_z: float
 
 
 class Passages:
-    """Keeps `connects` and `adjacent` edges, and nodes of passages without a door, in step with the rooms."""
+    """Keeps `connects` and `adjacent` edges, and nodes of passages without a door, in step with the rooms.
+
+    Rooms of two storeys are joined by stairs.
+    """
 
     def __init__(self) -> None:
         self._known: dict[str, Passage] = {}
+        self._of_room: defaultdict[str, set[str]] = defaultdict(set)
+        self._shapes: dict[str, Shape] = {}
+        self._index = GroundIndex()
+        self._stairs: set[str] = set()
         self._next = 1
+
+    def see(self, things: Iterable[str], shapes: Mapping[str, Shape], labels: Mapping[str, str]) -> set[str]:
+        """Note the doors and stairs among things that are new, changed or gone.
+
+        Returns what `update` must look at: doors that are new, stairs, and the rooms that something gone joined.
+        """
+        moved: set[str] = set()
+        for thing in things:
+            label = labels.get(thing)
+            if label in (*DOORS, *STAIRS) and thing in shapes:
+                if label in STAIRS or thing not in self._shapes:
+                    moved.add(thing)
+                self._shapes[thing] = shapes[thing]
+                self._index.put(thing, shapes[thing].bounds)
+                (self._stairs.add if label in STAIRS else self._stairs.discard)(thing)
+            elif self._shapes.pop(thing, None) is not None:
+                self._index.remove(thing)
+                self._stairs.discard(thing)
+                moved.update(self._known[thing].rooms if thing in self._known else ())
+        return moved
 
     def update(
         self,
-        storeys: Iterable[Storey],
+        storeys: Sequence[Storey],
         moved: set[str],
-        doors: Mapping[str, Shape],
+        footprints: Mapping[str, shapely.Polygon],
         occupancy: OccupancyMap,
         graph: SceneGraph,
         stamp_ns: int,
     ) -> GraphChanges:
-        """Find the passages of the rooms `moved` anew. doors: the shapes of things that are doors, by node id."""
+        """Find anew the passages of the rooms, doors and stairs in `moved`."""
         changes = GraphChanges()
         if not moved:
             return changes
+        things = moved & self._shapes.keys()
+        moved = moved | {room for thing in things for room in _rooms_about(self._shapes[thing], storeys)}
+        outlines = [footprints[room].bounds for room in moved if room in footprints]
+        outlines += [np.concatenate([corner[:2] for corner in self._shapes[thing].bounds]) for thing in things]
         found: list[Passage] = []
-        for storey in storeys:
-            openings = _openings(storey, moved, occupancy)
-            found += self._with_doors(openings, doors)
-            taken = {p.by for p in found}
-            found += _shut({d: s for d, s in doors.items() if d not in taken}, storey, moved)
-        before = {by: p for by, p in self._known.items() if moved.intersection(p.rooms)}
+        if outlines:
+            low, high = np.min(outlines, axis=0)[:2], np.max(outlines, axis=0)[2:]
+            near = self._index.within((low, high), LEAF_M)
+            for storey in storeys:
+                found += self._on_storey(storey, moved, (low, high), near, occupancy)
+            for stairs in (thing for thing in near if thing in self._stairs):
+                found += _up_stairs(stairs, self._shapes[stairs], storeys)
+        before = {by: self._known[by] for room in moved for by in self._of_room.get(room, ())}
+        before.update({by: self._known[by] for by in moved & self._known.keys()})
         now = {p.by: p for p in found}
+        parted = set()
         for by in sorted(before.keys() - now.keys()):
             self._forget(before[by], changes, graph)
+            parted.add(before[by].rooms)
         for passage in found:
-            if before.get(passage.by) != passage:
-                if passage.by in before:
-                    _cut(before[passage.by], changes)
-                self._known[passage.by] = passage
-                _write(passage, storeys, graph, stamp_ns, changes)
+            known = self._known.get(passage.by)
+            if known != passage:
+                if known is not None:
+                    _cut(known, changes)
+                    parted.add(known.rooms)
+                self._keep(passage)
+                _write(passage, graph, stamp_ns, changes)
+        for rooms in sorted(parted):
+            for by in sorted(self._of_room.get(rooms[0], ())):
+                if self._known[by].rooms == rooms:
+                    _adjoin(self._known[by], stamp_ns, changes)
         return changes
 
-    def restore(self, graph: SceneGraph) -> None:
+    def restore(self, graph: SceneGraph, shapes: Mapping[str, Shape], labels: Mapping[str, str]) -> None:
         """Know again the passages of a graph that comes back from disk."""
+        self.see(shapes, shapes, labels)
         for edge in graph.edges("connects"):
             rooms = sorted({e.target for e in graph.edges("connects", source=edge.source)})
             if len(rooms) == 2:
                 x, y = edge.attributes.get("at", graph.node(edge.source).position[:2].tolist())
                 width, is_open = float(edge.value or 0.0), bool(edge.attributes.get("open", True))
-                self._known[edge.source] = Passage(edge.source, (rooms[0], rooms[1]), (x, y), width, is_open)
+                floor = float(min(graph.node(room).position[2] for room in rooms))
+                self._keep(Passage(edge.source, (rooms[0], rooms[1]), (x, y), width, is_open, floor))
         numbers = [int(by.removeprefix("passage_")) for by in self._known if by.startswith("passage_")]
         self._next = max(numbers, default=0) + 1
+
+    def _on_storey(
+        self, storey: Storey, moved: set[str], window: tuple[Array, Array], near: list[str], occupancy: OccupancyMap
+    ) -> list[Passage]:
+        """The passages of rooms of one storey. window: lowest and highest corner (2,) of what moved; near: doors."""
+        doors = {
+            thing: self._shapes[thing]
+            for thing in near
+            if thing not in self._stairs and abs(self._shapes[thing].lowest - storey.floor_z) < DOOR_OFF_FLOOR_M
+        }
+        named = self._with_doors(_openings(storey, moved, window, occupancy), doors)
+        taken = {p.by for p in named}
+        return named + _shut({d: s for d, s in doors.items() if d not in taken}, storey, moved)
 
     def _with_doors(self, openings: list[Passage], doors: Mapping[str, Shape]) -> list[Passage]:
         """The openings with the door, the known passage or a new id that each goes by."""
@@ -109,32 +183,46 @@ class Passages:
             if not by:
                 by, self._next = f"passage_{self._next}", self._next + 1
             used.add(by)
-            named.append(Passage(by, opening.rooms, opening.at, opening.width_m, True))
+            named.append(replace(opening, by=by))
         return named
 
     def _same(self, opening: Passage, used: set[str]) -> str:
-        for by, known in self._known.items():
+        for by in sorted(self._of_room[opening.rooms[0]]):
+            known = self._known[by]
             free = by.startswith("passage_") and by not in used
             if free and known.rooms == opening.rooms and np.hypot(*np.subtract(known.at, opening.at)) < SAME_M:
                 return by
         return ""
 
+    def _keep(self, passage: Passage) -> None:
+        self._drop(passage.by)
+        self._known[passage.by] = passage
+        for room in passage.rooms:
+            self._of_room[room].add(passage.by)
+
+    def _drop(self, by: str) -> None:
+        known = self._known.pop(by, None)
+        for room in () if known is None else known.rooms:
+            self._of_room[room].discard(by)
+            if not self._of_room[room]:
+                del self._of_room[room]
+
     def _forget(self, passage: Passage, changes: GraphChanges, graph: SceneGraph) -> None:
-        del self._known[passage.by]
+        self._drop(passage.by)
         _cut(passage, changes)
         if passage.by.startswith("passage_") and passage.by in graph:
             changes.delete_node(passage.by, "nothing leads through there")
 
 
-def _openings(storey: Storey, moved: set[str], occupancy: OccupancyMap) -> list[Passage]:
+def _openings(storey: Storey, moved: set[str], window: tuple[Array, Array], occupancy: OccupancyMap) -> list[Passage]:
     """Where free space leads across the border between two rooms; they are not named yet."""
-    numbers = np.array([int(room.removeprefix("room_")) for room in moved])
-    rooms = storey.ground.room
-    where = np.argwhere(np.isin(rooms, numbers))
-    if not len(where):
+    numbers = np.array([int(room.removeprefix("room_")) for room in moved if room.startswith("room_")])
+    corners = np.floor(np.stack(window) / CELL_M).astype(np.int64) - storey.ground.low
+    low = np.maximum(corners[0] - 4, 0)
+    high = np.maximum(np.minimum(corners[1] + 5, storey.ground.room.shape), low)
+    rooms = storey.ground.room[low[0] : high[0], low[1] : high[1]]
+    if min(rooms.shape) <= 3 or not len(numbers):
         return []
-    low, high = np.maximum(where.min(axis=0) - 4, 0), where.max(axis=0) + 5
-    rooms = rooms[low[0] : high[0], low[1] : high[1]]
     borders = [_borders(rooms, numbers, axis, apart) for axis in (0, 1) for apart in (1, 2, 3)]
     at, pair = (np.concatenate(parts) for parts in zip(*borders, strict=True))
     if not len(at):
@@ -159,7 +247,7 @@ def _openings(storey: Storey, moved: set[str], occupancy: OccupancyMap) -> list[
             width = float(np.hypot(*np.ptp(mine_xy, axis=0))) + CELL_M
             if width >= LEAST_WIDTH_M:
                 x, y = mine_xy.mean(axis=0).round(3).tolist()
-                found.append(Passage("", (f"room_{a}", f"room_{b}"), (x, y), round(width, 2), True))
+                found.append(Passage("", (f"room_{a}", f"room_{b}"), (x, y), round(width, 2), True, storey.floor_z))
     return found
 
 
@@ -210,8 +298,43 @@ def _shut(doors: Mapping[str, Shape], storey: Storey, moved: set[str]) -> list[P
         }
         rooms = sorted(f"room_{n}" for n in next(iter(pairs)) if n)
         if len(pairs) == 1 and len(set(rooms)) == 2 and moved.intersection(rooms):
-            found.append(Passage(door, (rooms[0], rooms[1]), (round(x, 3), round(y, 3)), round(length, 2), False))
+            at = (round(x, 3), round(y, 3))
+            found.append(Passage(door, (rooms[0], rooms[1]), at, round(length, 2), False, storey.floor_z))
     return found
+
+
+def _up_stairs(stairs: str, shape: Shape, storeys: Sequence[Storey]) -> list[Passage]:
+    """The way from the room at the foot of stairs to that at their head, one storey up."""
+    by_height = sorted(storeys, key=lambda s: s.floor_z)
+    for lower, upper in pairwise(by_height):
+        reaches = shape.lowest < lower.floor_z + STEP_M and shape.highest > upper.floor_z - STEP_M
+        if not reaches or shape.highest > upper.floor_z + TALLEST_RAIL_M:
+            continue
+        heights = shape.points[:, 2]
+        foot = _room_at_end(shape.points[heights < lower.floor_z + STEP_M, :2], lower)
+        head = _room_at_end(shape.points[np.abs(heights - upper.floor_z) < STEP_M, :2], upper)
+        if foot and head:
+            x, y, _, width, _ = shape.rectangle
+            one, two = sorted((foot, head))
+            return [Passage(stairs, (one, two), (round(x, 3), round(y, 3)), round(width, 2), True, lower.floor_z)]
+    return []
+
+
+def _rooms_about(shape: Shape, storeys: Sequence[Storey]) -> set[str]:
+    """The rooms on whose ground a thing stands, or that lie beside it."""
+    x, y, _, _, _ = shape.rectangle
+    around = np.array([x, y]) + np.concatenate([[[0.0, 0.0]], 0.5 * RING, 1.0 * RING])
+    return {f"room_{n}" for storey in storeys for n in storey.ground.at(around).tolist() if n}
+
+
+def _room_at_end(xy: Array, storey: Storey) -> str | None:
+    """The room that most of the ground about one end of stairs, points (N, 2), belongs to."""
+    if not len(xy):
+        return None
+    around = xy.mean(axis=0) + np.concatenate([reach * RING for reach in (0.3, 0.6, 0.9)])
+    rooms = storey.ground.at(np.concatenate([around, xy[:: max(1, len(xy) // 50)]]))
+    counts = np.bincount(rooms[rooms > 0])
+    return f"room_{counts.argmax()}" if len(counts) else None
 
 
 def _cut(passage: Passage, changes: GraphChanges) -> None:
@@ -222,25 +345,21 @@ def _cut(passage: Passage, changes: GraphChanges) -> None:
         changes.delete_edge(relation, source, target)
 
 
-def _write(
-    passage: Passage, storeys: Iterable[Storey], graph: SceneGraph, stamp_ns: int, changes: GraphChanges
-) -> None:
+def _write(passage: Passage, graph: SceneGraph, stamp_ns: int, changes: GraphChanges) -> None:
     if passage.by.startswith("passage_"):
         known = graph.node(passage.by) if passage.by in graph else None
-        floor = min((s.floor_z for s in storeys), default=0.0)
         changes.put(
             Node(
                 id=passage.by,
                 layer="structure",
                 label="doorway" if passage.width_m <= DOORWAY_M else "opening",
-                position=(*passage.at, floor + 1.0),
+                position=(*passage.at, passage.floor_z + 1.0),
                 confidence=0.9,
                 first_seen_ns=stamp_ns if known is None else min(known.first_seen_ns, stamp_ns),
                 last_seen_ns=stamp_ns if known is None else max(known.last_seen_ns, stamp_ns),
                 attributes={"width_m": passage.width_m},
             )
         )
-    one, two = passage.rooms
     times = {"first_seen_ns": stamp_ns, "last_seen_ns": stamp_ns}
     for room in passage.rooms:
         changes.put(
@@ -254,5 +373,11 @@ def _write(
                 **times,
             )
         )
+    _adjoin(passage, stamp_ns, changes)
+
+
+def _adjoin(passage: Passage, stamp_ns: int, changes: GraphChanges) -> None:
+    one, two = passage.rooms
+    times = {"first_seen_ns": stamp_ns, "last_seen_ns": stamp_ns}
     for a, b in ((one, two), (two, one)):
         changes.put(Edge(relation="adjacent", source=a, target=b, attributes={"through": passage.by}, **times))

@@ -91,7 +91,7 @@ class Perception:
         room_changes, moved_rooms = self.rooms.update(self._map.occupancy, seen.occupancy, labelled, graph, stamp_ns)
         changes.extend(_still_possible(room_changes, graph))
 
-        self._connect_rooms(changes, moved_rooms, seen.occupancy.blocks, graph, stamp_ns)
+        self._connect_rooms(changes, moved_rooms, reshaped, seen.occupancy.blocks, graph, stamp_ns)
         _keep_told(changes, graph)
         measured = self.relations.update(self.objects.shapes, self.objects.labels, reshaped, self.building)
         measured.merge(self._room_shares(reshaped, moved_rooms, graph))
@@ -170,22 +170,34 @@ class Perception:
     ) -> tuple[MeasurementChange, set[str]]:
         """All that follows where an operator made rooms: what was measured anew, and the ids that it is about."""
         changes.extend(room_changes)
-        self._connect_rooms(changes, rooms, np.empty((0, 3), np.int64), graph, stamp_ns)
+        self._connect_rooms(changes, rooms, set(), np.empty((0, 3), np.int64), graph, stamp_ns)
         _keep_told(changes, graph)
         affected = self.relations.things_in(rooms)
         return self._room_shares(set(), rooms, graph), rooms | affected
 
     def _connect_rooms(
-        self, changes: GraphChanges, moved_rooms: set[str], blocks: Array, graph: SceneGraph, stamp_ns: int
+        self,
+        changes: GraphChanges,
+        moved_rooms: set[str],
+        reshaped: set[str],
+        blocks: Array,
+        graph: SceneGraph,
+        stamp_ns: int,
     ) -> None:
-        """Add what follows from rooms and blocks of space that changed: storeys, passages between rooms, places in
-        them."""
+        """Add what follows from rooms, things and blocks of space that changed: storeys, passages between rooms,
+        places in them."""
         self.rooms.storeys.write(changes, BUILDING, graph, stamp_ns)
-        if moved_rooms:
-            doors = {i: s for i, s in self.objects.shapes.items() if self.objects.labels[i] == "door"}
-            changes.extend(
-                self.passages.update(self.rooms.storeys, moved_rooms, doors, self._map.occupancy, graph, stamp_ns)
+        through = self.passages.see(reshaped, self.objects.shapes, self.objects.labels)
+        changes.extend(
+            self.passages.update(
+                self.rooms.storeys,
+                moved_rooms | through,
+                self.rooms.footprints,
+                self._map.occupancy,
+                graph,
+                stamp_ns,
             )
+        )
         changes.extend(self.free_places.update(self._map.occupancy, blocks, self.rooms, moved_rooms, graph, stamp_ns))
 
     # -- state --------------------------------------------------------------------------------------------
@@ -205,7 +217,7 @@ class Perception:
         if "boxes" in document:
             self.boxes.restore(document["boxes"])
         self.rooms.restore(rooms, graph)
-        self.passages.restore(graph)
+        self.passages.restore(graph, self.objects.shapes, self.objects.labels)
         self.free_places.restore(self._map.occupancy, self.rooms, graph)
         self.structure.restore(document["structure"], self._map.planes, graph)
         if "clusters" in document:

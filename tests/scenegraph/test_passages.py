@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+import shapely
 
 from mapping.occupancy import OccupancyMap
 from scenegraph.graph import GraphChanges, Node, SceneGraph
@@ -70,8 +71,12 @@ def passages_of(
         add.put(Node(id=door, layer="structure", label="door", position=(3, 1, 1), first_seen_ns=0, last_seen_ns=0))
     graph.commit(add, 0)
 
+    outline = shapely.box(-6.0, -6.0, 8.0, 8.0)
+
     def look(storey: Storey, occupancy: OccupancyMap, stamp_ns: int) -> None:
-        graph.commit(passages.update([storey], {"room_1"}, doors or {}, occupancy, graph, stamp_ns), stamp_ns)
+        near = passages.see(doors or {}, doors or {}, dict.fromkeys(doors or {}, "door"))
+        moved = {"room_1", *near}
+        graph.commit(passages.update([storey], moved, {"room_1": outline}, occupancy, graph, stamp_ns), stamp_ns)
 
     look(storey, occupancy, 1)
 
@@ -163,6 +168,62 @@ def test_a_passage_keeps_its_id_and_goes_when_it_is_walled_up() -> None:
     assert not joined(graph)
     assert not graph.edges("adjacent")
     assert graph.tombstone("passage_1") is not None
+
+
+def test_rooms_stay_adjacent_through_a_second_way_when_the_first_is_walled_up() -> None:
+    graph, again = passages_of((0.4, 1.3), {"opening_8": door_at(2.5)})
+    assert set(joined(graph)) == {"passage_1", "opening_8"}
+    again(None)
+    assert set(joined(graph)) == {"opening_8"}
+    edge = graph.edge("adjacent", "room_1", "room_2")
+    assert edge is not None
+    assert edge.attributes["through"] == "opening_8"
+
+
+def test_a_door_that_is_gone_leads_nowhere() -> None:
+    passages, (storey, occupancy, graph) = Passages(), two_rooms(None)
+    added = GraphChanges()
+    added.put(
+        Node(id="opening_7", layer="structure", label="door", position=(3, 1, 1), first_seen_ns=0, last_seen_ns=0)
+    )
+    graph.commit(added, 0)
+    shapes, labels = {"opening_7": door_at(1.4)}, {"opening_7": "door"}
+    graph.commit(passages.update([storey], passages.see(shapes, shapes, labels), {}, occupancy, graph, 1), 1)
+    assert joined(graph) == {"opening_7": {"room_1", "room_2"}}, "a new door is looked at though no room moved"
+    graph.commit(passages.update([storey], passages.see(shapes, {}, {}), {}, occupancy, graph, 2), 2)
+    assert not joined(graph)
+    assert not graph.edges("adjacent")
+
+
+def test_stairs_lead_from_the_room_at_their_foot_to_that_at_their_head() -> None:
+    storeys = []
+    for number, floor_z in ((1, 0.0), (2, 2.7)):
+        ground = GroundGrid(CELL_M)
+        ground.cover(np.array([0, 0]), np.array([79, 29]))
+        ground.room[:] = number
+        storeys.append(Storey(number, floor_z, ground))
+    steps = [
+        np.stack(
+            np.meshgrid(np.arange(1.0 + 0.25 * n, 1.3 + 0.25 * n, 0.025), np.arange(1.0, 1.9, 0.025), 0.18 * n), -1
+        )
+        for n in range(16)
+    ]
+    shape = Shape(np.concatenate([s.reshape(-1, 3) for s in steps]).astype(np.float32), 0.025)
+    graph, changes = SceneGraph(), GraphChanges()
+    times = {"first_seen_ns": 0, "last_seen_ns": 0}
+    for n in (1, 2):
+        changes.put(Node(id=f"room_{n}", layer="room", label="room", position=(4, 1, 2.7 * n - 2.7), **times))
+    changes.put(Node(id="opening_3", layer="structure", label="stairs", position=(3, 1.5, 1.3), **times))
+    graph.commit(changes, 0)
+    passages, occupancy = Passages(), OccupancyMap(voxel_size_m=0.05)
+    moved = passages.see(["opening_3"], {"opening_3": shape}, {"opening_3": "stairs"})
+    graph.commit(passages.update(storeys, moved, {}, occupancy, graph, 1), 1)
+    assert joined(graph) == {"opening_3": {"room_1", "room_2"}}
+    assert graph.edge("adjacent", "room_1", "room_2").attributes["through"] == "opening_3"  # type: ignore[union-attr]
+    half = Shape(shape.points[shape.points[:, 2] < 1.4], 0.025)
+    moved = passages.see(["opening_3"], {"opening_3": half}, {"opening_3": "stairs"})
+    graph.commit(passages.update(storeys, moved, {}, occupancy, graph, 2), 2)
+    assert not joined(graph), "they end halfway"
 
 
 def test_the_small_home_has_a_way_from_one_room_to_the_other(home: World) -> None:
