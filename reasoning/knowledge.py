@@ -251,14 +251,15 @@ class KnowledgeBase:
         where both have a name: stored derived edges at these ids that are not among them no longer hold.
         """
         things: list[Any] = [Atom(node) for node in ids]
-        goal = Compound("affected_edges", (things, Var("Ids"), Var("Pairs")))
+        goal = Compound("affected_edges", (things, Var("Ids"), Var("Text")))
         [answer] = self.call(goal, timeout_s=30.0)
         edges = []
-        for pair in cast(list[Any], answer["Pairs"]):
-            relation, inverse, a, b, value, threshold, confidence = pair.args
-            edges.append(DerivedEdge(relation.name, a.name, b.name, value, threshold, confidence))
-            if inverse.name != "none":
-                edges.append(DerivedEdge(inverse.name, b.name, a.name, value, threshold, confidence))
+        for line in str(answer["Text"]).splitlines():
+            relation, inverse, a, b, *numbers = line.split(" ")
+            value, threshold, confidence = map(float, numbers)
+            edges.append(DerivedEdge(relation, a, b, value, threshold, confidence))
+            if inverse != "none":
+                edges.append(DerivedEdge(inverse, b, a, value, threshold, confidence))
         return [atom.name for atom in cast(list[Atom], answer["Ids"])], edges
 
     def vocabulary(self) -> dict[str, str]:

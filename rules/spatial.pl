@@ -19,6 +19,7 @@
             override/1                  % +Threshold
           ]).
 :- use_module(library(lists)).
+:- use_module(library(ordsets)).
 :- use_module(library(error)).
 :- use_module(facts).
 :- use_module(taxonomy, [part_kind/2, subclass/2]).
@@ -317,7 +318,7 @@ judged(blocks, A, Door, Truth, [test(clear_width, Width, <, robot_width, Needed)
     less_than(Width, Needed, Truth).
 
 %   beside(+Near, +NearTest, +A, +B, -Truth, -Tests): two things that are near, are they next to each other?
-beside(false, NearTest, _, _, false, [NearTest]) :- !.
+beside(false, NearTest, _, _, Truth, [NearTest]) :- !, Truth = false.
 beside(Near, NearTest, A, B, Truth, Tests) :-
     shared_support(A, B, Support, Same),
     (   Same == false
@@ -606,6 +607,9 @@ derived_edge(Relation, A, B, Value, Threshold, Confidence) :-
 
 canonical_edge(Relation, A, B, Value, Threshold, Confidence) :-
     judged(Relation, A, B, true, Tests),
+    graded_edge(Relation, A, Tests, Value, Threshold, Confidence).
+
+graded_edge(Relation, A, Tests, Value, Threshold, Confidence) :-
     Tests = [test(_, Value, _, _, Threshold)|_],
     certainty(Tests, 1.0, Margin),
     footing_certainty(Relation, A, Margin, Confidence).
@@ -653,26 +657,41 @@ either_direction(pair(_, Inverse, A, B, V, T, C), edge(Inverse, B, A, V, T, C)) 
 
 %   canonical_edges_of(+Ids, -Pairs): each pair once, as pair(Relation, Inverse, A, B, Value, Threshold, Confidence);
 %   Inverse is none for a relation that goes one way.
-canonical_edges_of(Ids, Pairs) :-
-    findall(Pair, ( member(Id, Ids), pair_at(Id, Pair) ), Pairs0),
+canonical_edges_of(Ids0, Pairs) :-
+    sort(Ids0, Ids),
+    findall(Pair, ( member(Id, Ids), pair_at(Id, Ids, Pair) ), Pairs0),
     sort(Pairs0, Pairs).
 
-pair_at(Id, pair(Relation, Inverse, Id, B, Value, Threshold, Confidence)) :-
-    inverse(Relation, Inverse),
+pair_at(Id, _, pair(Relation, Inverse, Id, B, Value, Threshold, Confidence)) :-
+    ( inverse(Relation, Inverse) ; one_way(Relation), Inverse = none ),
     canonical_edge(Relation, Id, B, Value, Threshold, Confidence).
-pair_at(Id, pair(Relation, Inverse, A, Id, Value, Threshold, Confidence)) :-
-    inverse(Relation, Inverse),
-    canonical_edge(Relation, A, Id, Value, Threshold, Confidence).
-pair_at(Id, pair(Relation, Relation, A, B, Value, Threshold, Confidence)) :-
-    symmetric(Relation),
-    canonical_edge(Relation, Id, Other, Value, Threshold, Confidence),
+pair_at(Id, Ids, pair(Relation, Inverse, A, Id, Value, Threshold, Confidence)) :-
+    ( inverse(Relation, Inverse) ; one_way(Relation), Inverse = none ),
+    canonical_edge(Relation, A, Id, Value, Threshold, Confidence),
+    \+ ord_memberchk(A, Ids).
+pair_at(Id, Ids, pair(Relation, Relation, A, B, Value, Threshold, Confidence)) :-
+    partners(Id, Ids, Relation, Other, Tests),
+    graded_edge(Relation, Id, Tests, Value, Threshold, Confidence),
     ( Id @< Other -> A = Id, B = Other ; A = Other, B = Id ).
-pair_at(Id, pair(Relation, none, Id, B, Value, Threshold, Confidence)) :-
-    one_way(Relation),
-    canonical_edge(Relation, Id, B, Value, Threshold, Confidence).
-pair_at(Id, pair(Relation, none, A, Id, Value, Threshold, Confidence)) :-
-    one_way(Relation),
-    canonical_edge(Relation, A, Id, Value, Threshold, Confidence).
+
+%   partners(+Id, +Ids, -Relation, -Other, -Tests): symmetric relations of Id, those to an earlier one of Ids left out;
+%   what is next to something is near it, and found with it.
+partners(Id, Ids, Relation, Other, Tests) :-
+    findall(Support, judged(on, Id, Support, true, _), Supports),
+    mutual(path_gap_upper, Id, Other, _),
+    \+ ( Other @< Id, ord_memberchk(Other, Ids) ),
+    judged(near, Id, Other, true, NearTests),
+    (   Relation = near,
+        Tests = NearTests
+    ;   \+ \+ ( member(Support, Supports), measured(contact, Other, Support, _) ),
+        NearTests = [NearTest|_],
+        beside(true, NearTest, Id, Other, true, Tests),
+        Relation = next_to
+    ).
+partners(Id, Ids, touching, Other, Tests) :-
+    mutual(gap, Id, Other, _),
+    \+ ( Other @< Id, ord_memberchk(Other, Ids) ),
+    judged(touching, Id, Other, true, Tests).
 
 %!  affected_by(+Ids:list, -Affected:list) is det.
 %
@@ -683,12 +702,16 @@ affected_by(Ids, Affected) :-
     findall(Thing, ( member(Id, Ids), rests_upon(Thing, Id) ), Things),
     sort(Things, Affected).
 
-%!  affected_edges(+Ids:list, -Affected:list, -Pairs:list) is det.
+%!  affected_edges(+Ids:list, -Affected:list, -Text:string) is det.
 %
-%   affected_by/2 and the derived edges of that, each pair once as
-%   pair(Relation, Inverse, A, B, Value, Threshold, Confidence): what the graph
-%   asks after each observation.
+%   affected_by/2 and the derived edges of that, each pair once, as a line of
+%   words: relation, inverse, ids, value, threshold, confidence. What the graph
+%   asks after each observation; a text is read a good deal faster than terms.
 
-affected_edges(Ids, Affected, Pairs) :-
+affected_edges(Ids, Affected, Text) :-
     affected_by(Ids, Affected),
-    canonical_edges_of(Affected, Pairs).
+    canonical_edges_of(Affected, Pairs),
+    with_output_to(string(Text),
+                   forall(member(pair(Relation, Inverse, A, B, Value, Threshold, Confidence), Pairs),
+                          format("~w ~w ~w ~w ~w ~w ~w~n",
+                                 [Relation, Inverse, A, B, Value, Threshold, Confidence]))).
