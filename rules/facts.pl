@@ -264,7 +264,7 @@ forget_everything :-
 
 %   The measurements that the rules read exist from the start, so that asking for one before it was made is no error.
 
-:- forall(member(Name, [longer_side, lowest, highest, footing_seen]),
+:- forall(member(Name, [longer_side, lowest, highest, footing_seen, rest_level]),
           keeper(Name, 3, _)).
 :- forall(member(Name, [ contact, lowest_above, footprint_overlap, rise, structure_between, same_storey,
                          path_gap_upper, path_gap_lower, gap, footing_inside, voxels_inside, footprint_share,

@@ -259,10 +259,17 @@ judged(near, A, B, Truth, [test(path_gap_upper, Upper, =<, near_distance, Distan
         at_most(Lower, Distance, Reachable),
         ( Reachable == false -> Truth = false ; Truth = unknown )
     ).
-judged(touching, A, B, Truth, [test(gap, Gap, =<, contact_gap, Enough)]) :-
+judged(touching, A, B, Truth, Tests) :-
     mutual(gap, A, B, Gap),
     contact_gap(Enough),
-    at_most(Gap, Enough, Truth).
+    at_most(Gap, Enough, Close),
+    (   Close \== true,
+        footing_in_contact(A, B, Test)
+    ->  Truth = true,
+        Tests = [Test]
+    ;   Truth = Close,
+        Tests = [test(gap, Gap, =<, contact_gap, Enough)]
+    ).
 
 judged(next_to, A, B, Truth, Tests) :-
     judged(near, A, B, Near, [NearTest|_]),
@@ -317,6 +324,14 @@ judged(blocks, A, Door, Truth, [test(clear_width, Width, <, robot_width, Needed)
     robot_width(_, Needed),
     less_than(Width, Needed, Truth).
 
+%   footing_in_contact(+A, +B, -Test): one rests on the other, where the surfaces between were not seen.
+footing_in_contact(A, B, test(contact, Share, >=, contact_share, Enough)) :-
+    contact_share(Enough),
+    ( measured(contact, A, B, Share) ; measured(contact, B, A, Share) ),
+    number(Share),
+    Share >= Enough,
+    !.
+
 %   beside(+Near, +NearTest, +A, +B, -Truth, -Tests): two things that are near, are they next to each other?
 beside(false, NearTest, _, _, Truth, [NearTest]) :- !, Truth = false.
 beside(Near, NearTest, A, B, Truth, Tests) :-
@@ -336,6 +351,16 @@ shared_support(A, B, Support, true) :-
     judged(on, A, Support, true, _),
     judged(on, B, Support, true, _),
     !.
+shared_support(A, B, Floor, true) :-
+    judged(on, A, Floor, true, _),
+    label(Floor, floor),
+    judged(on, B, Other, true, _),
+    label(Other, floor),
+    position(Floor, _, _, Z),
+    position(Other, _, _, OtherZ),
+    same_floor(Most),
+    abs(Z-OtherZ) =< Most,
+    !.
 shared_support(A, B, Support, unknown) :-
     judged(on, A, Support, TruthA, _),
     TruthA \== false,
@@ -343,6 +368,9 @@ shared_support(A, B, Support, unknown) :-
     TruthB \== false,
     !.
 shared_support(_, _, none, false).
+
+%   A floor is mapped as several planes where furniture or a doorway parts it; this far apart in height [m] they are one.
+same_floor(0.1).
 
 %   stands_on_nothing(+A, -Share, -Enough, -Truth): no footing contact; Share is the largest.
 stands_on_nothing(A, Footing, Enough, Truth) :-
@@ -683,7 +711,7 @@ partners(Id, Ids, Relation, Other, Tests) :-
     judged(near, Id, Other, true, NearTests),
     (   Relation = near,
         Tests = NearTests
-    ;   \+ \+ ( member(Support, Supports), measured(contact, Other, Support, _) ),
+    ;   \+ \+ ( member(Support, Supports), ( measured(contact, Other, Support, _) ; label(Support, floor) ) ),
         NearTests = [NearTest|_],
         beside(true, NearTest, Id, Other, true, Tests),
         Relation = next_to

@@ -185,17 +185,33 @@ def within(points: Array, center: Array, radius: float) -> Array:
 
 
 @njit(cache=True)
-def near_segment(points: Array, p: Array, q: Array, beside: float, clear: float, over: float) -> bool:
-    """Whether a point (N, 3) higher than `over` lies within `beside` of the segment from p to q (3,), more than `clear`
-    from either end along it. Lengths in metres."""
+def highest_pair(a: Array, b: Array, reach: float) -> tuple[int, int]:
+    """Of the pairs of points of two sets (N, 3), (M, 3) within `reach` [m] that whose lower point is highest; else -1,
+    -1."""
+    best = -np.inf
+    at_a = at_b = -1
+    for i in range(len(a)):
+        for j in range(len(b)):
+            low = min(a[i, 2], b[j, 2])
+            if low > best:
+                d = (a[i, 0] - b[j, 0]) ** 2 + (a[i, 1] - b[j, 1]) ** 2 + (a[i, 2] - b[j, 2]) ** 2
+                if d <= reach * reach:
+                    best, at_a, at_b = low, i, j
+    return at_a, at_b
+
+
+@njit(cache=True)
+def near_segment(points: Array, p: Array, q: Array, beside: float, clear: float) -> bool:
+    """Whether a point (N, 3) lies within `beside` of the segment from p to q (3,) and more than `clear` from its ends.
+
+    Lengths in metres, that from the ends along the segment.
+    """
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
     if length <= 2.0 * clear:
         return False
     dx, dy, dz = dx / length, dy / length, dz / length
     for n in range(len(points)):
-        if points[n, 2] <= over:
-            continue
         x, y, z = points[n, 0] - p[0], points[n, 1] - p[1], points[n, 2] - p[2]
         along = x * dx + y * dy + z * dz
         if clear < along < length - clear and x * x + y * y + z * z - along * along <= beside * beside:

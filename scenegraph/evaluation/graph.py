@@ -1,4 +1,4 @@
-"""Things, rooms, relations and planes of a world's graph, against those of the home."""
+"""Things, rooms and planes of a world's graph, against those of the home."""
 
 from __future__ import annotations
 
@@ -16,13 +16,12 @@ from scenegraph.graph import Box, Node
 from scenegraph.simulation import Home, TrueObject, TruthRecorder
 from scenegraph.world import World
 
-__all__ = ["CENTRE_M", "judge_objects", "judge_planes", "judge_relations", "judge_rooms"]
+__all__ = ["CENTRE_M", "judge_objects", "judge_planes", "judge_rooms"]
 
 Array: TypeAlias = NDArray[Any]
 CENTRE_M = 0.25
 ROOM_OVERLAP = 0.5
 PLANE_COVER = 1.0 / 3.0
-JUDGED = ("on", "in", "above", "near")
 
 
 # -- objects ---------------------------------------------------------------------------------------------------
@@ -137,30 +136,6 @@ def judge_rooms(world: World, home: Home, result: Evaluation) -> dict[str, str]:
     result.notes += [f"{home.seed}: missed room {r.id}" for r in home.rooms if r.id not in matched.values()]
     result.notes += [f"{home.seed}: {n.id} is no room" for n in nodes if n.id not in matched]
     return matched
-
-
-# -- relations -------------------------------------------------------------------------------------------------
-
-
-def judge_relations(
-    world: World, home: Home, matched: dict[str, str], countable: frozenset[str], result: Evaluation
-) -> None:
-    """Compare edges between matched nodes (node id → true id) with what holds between the things they stand for."""
-    known = set(matched.values())
-    all_counted = countable | {r.id for r in home.rooms}
-    for relation in JUDGED:
-        true = {(a, b) for name, a, b in home.relations() if name == relation}
-        said = set()
-        for edge in world.graph.edges(relation):
-            if edge.source in matched and edge.target in matched:
-                pair = (matched[edge.source], matched[edge.target])
-                said.add(pair if relation != "near" else (min(pair), max(pair)))
-        judgeable = {pair for pair in true if known.issuperset(pair)}
-        result.tallies[f"relations.{relation}"].add(len(said & judgeable), len(said), len(judgeable))
-        everything = {pair for pair in true if all_counted.issuperset(pair)}
-        result.tallies[f"relations.{relation}.recall_all"].add(len(said & everything), 0, len(everything))
-        result.notes += [f"{home.seed}: missed {relation}{pair}" for pair in sorted(judgeable - said)]
-        result.notes += [f"{home.seed}: wrong {relation}{pair}" for pair in sorted(said - judgeable)]
 
 
 # -- planes ----------------------------------------------------------------------------------------------------

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from mapping.observations import RgbdImage
 from scenegraph.config import WorldConfig
 from scenegraph.evaluation.doors import judge_doors
-from scenegraph.evaluation.graph import judge_objects, judge_planes, judge_relations, judge_rooms
+from scenegraph.evaluation.graph import judge_objects, judge_planes, judge_rooms
+from scenegraph.evaluation.relations import judge_relations
 from scenegraph.evaluation.result import Evaluation
 from scenegraph.evaluation.second_tour import take_second_tour
 from scenegraph.evaluation.semantics import judge_voxels

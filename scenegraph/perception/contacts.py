@@ -53,10 +53,12 @@ class Wall:
 
 @dataclass(frozen=True)
 class Resting:
-    """On what a thing rests, node id → share of its footing; and the share of its footing that was seen."""
+    """On what a thing rests, node id → share of its footing; the share of its footing that was seen; and the height at
+    which it rests [m]."""
 
     shares: dict[str, float]
     footing_seen: float
+    level: float
 
 
 def tolerance(thing: Shape) -> float:
@@ -74,8 +76,9 @@ def resting(mine: Shape, others: Mapping[str, Shape], floor: Level, seen_free: C
     surfaces = _surfaces_under(mine, others, footing, floor)
     shares = _first_below(footing, surfaces, mine.lowest, tolerance(mine))
     if shares or not surfaces or not _bottom_hidden(mine, surfaces[0][0], footing, seen_free):
-        return Resting(shares, 1.0)
-    return Resting(_first_below(footing, surfaces, surfaces[0][0], tolerance(mine)), 0.0)
+        return Resting(shares, 1.0, mine.lowest)
+    level = surfaces[0][0]
+    return Resting(_first_below(footing, surfaces, level, tolerance(mine)), 0.0, level)
 
 
 def hanging(mine: Shape, others: Mapping[str, Shape], ceiling: Level) -> dict[str, float]:

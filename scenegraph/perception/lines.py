@@ -1,4 +1,4 @@
-"""The straight lines between the nearest points of two things, and what stands on them."""
+"""The straight lines between nearest points of two things, and what stands on them."""
 
 from __future__ import annotations
 
@@ -64,28 +64,29 @@ class Lines:
         self,
         pair: Pair,
         supports: Set[str],
+        levels: Mapping[str, float],
         shapes: Mapping[str, Shape],
         within: Callable[[tuple[Array, Array], float], Iterable[str]],
     ) -> int:
         """How many other things stand on the line of a pair; 0 without a line.
 
-        What carries both (`supports`) does so only where it rises over the lower end, as a board does between two
-        others.  within(bounds, reach): the things whose ground meets such bounds.
+        supports: what carries both; levels: the height at which each rests [m]. A support stands between them where
+        the line comes from below to the one that stands higher, as from board to board.
+        within(bounds, reach): the things whose ground meets such bounds.
         """
         if pair not in self._ends:
             return 0
         p, q = self._ends[pair]
         low, high = np.minimum(p, q), np.maximum(p, q)
-        count = 0
+        higher = pair[int(q[2] > p[2])]
+        count = int(low[2] < levels[higher] - 0.5 * shapes[higher].voxel_size_m)
         for other in within((low, high), 0.0):
-            if other in pair or other not in shapes:
+            if other in pair or other in supports or other not in shapes:
                 continue
             shape = shapes[other]
-            if shape.lowest > high[2] or shape.highest < low[2]:
-                continue
-            voxel = shape.voxel_size_m
-            clear, over = (0.0, low[2] + voxel) if other in supports else (CLEAR_VOXELS * voxel, -np.inf)
-            count += bool(near_segment(shape.points, p, q, BESIDE_VOXELS * voxel, clear, over))
+            if shape.lowest <= high[2] and shape.highest >= low[2]:
+                beside, clear = BESIDE_VOXELS * shape.voxel_size_m, CLEAR_VOXELS * shape.voxel_size_m
+                count += bool(near_segment(shape.points, p, q, beside, clear))
         return count
 
     def document(self) -> list[list[Any]]:

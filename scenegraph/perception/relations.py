@@ -29,8 +29,8 @@ FAR_M = 1.5
 FIRM_FOOTING = 0.5
 """What rests on something with this share of its footing neither hangs nor is fixed to a side."""
 CONTACTS = ("contact", "top_contact", "side_contact")
-LEAST_LINE_M = 0.05
-"""Nothing stands between two things that are nearer than this: two voxels."""
+SAMPLED_VOXELS = 0.7
+"""The nearest points of two surfaces that touch lie this far apart along them, in voxels: half a face's diagonal."""
 NO_PATH_M = 1.0e9
 MOST_COLUMNS = 40
 MOST_INSIDE = 300
@@ -162,11 +162,18 @@ class Relations:
         """Note how many things stand between the things of each pair, where both rest on the same."""
         fresh: dict[tuple[str, ...], float] = {}
         for pair in sorted(pairs):
-            one, two = ({k[2] for k in self._keys_of[x] if k[0] == "contact" and k[1] == x} for x in pair)
-            count = self._lines.between(pair, one & two, shapes, self._index.within) if one & two else 0
+            one, two = (
+                {k[2] if k[2] in shapes else "floor" for k in self._keys_of[x] if k[0] == "contact" and k[1] == x}
+                for x in pair
+            )
+            count = self._between(pair, one & two, shapes) if one & two else 0
             if count:
                 fresh["things_between", *pair] = count
         return self._replace({("things_between", *pair) for pair in pairs}, fresh)
+
+    def _between(self, pair: Pair, supports: set[str], shapes: Mapping[str, Shape]) -> int:
+        levels = {thing: self._facts["rest_level", thing] for thing in pair}
+        return self._lines.between(pair, supports, levels, shapes, self._index.within)
 
     def set_shares(self, thing: str, shares: Mapping[str, float]) -> MeasurementChange:
         """Note in which rooms the footprint of a thing lies: room id → share."""
@@ -224,10 +231,10 @@ class Relations:
         a, b = min(one, two), max(one, two)
         shape_a, shape_b = shapes[a], shapes[b]
         if _bounds_gap(shape_a.bounds, shape_b.bounds) <= FAR_M:
-            gap, p, q = shape_a.distance_m(shape_b)
-            if gap <= FAR_M:
-                touch = 0.25 * (shape_a.voxel_size_m + shape_b.voxel_size_m)
-                fresh["gap", a, b] = gap = max(0.0, gap - touch)
+            reach, p, q = shape_a.distance_m(shape_b)
+            if reach <= FAR_M:
+                apart = 0.5 * SAMPLED_VOXELS * (shape_a.voxel_size_m + shape_b.voxel_size_m)
+                fresh["gap", a, b] = gap = float(np.sqrt(max(0.0, reach * reach - apart * apart)))
                 upper = lower = gap
                 passage = around.between(p, q) if gap > 0.0 else "clear"
                 if passage != "clear":
@@ -236,8 +243,8 @@ class Relations:
                     lower = gap
                 fresh["path_gap_upper", a, b] = min(upper, NO_PATH_M)
                 fresh["path_gap_lower", a, b] = min(lower, NO_PATH_M)
-                if gap > LEAST_LINE_M and upper <= FAR_M:
-                    self._lines.put((a, b), p, q)
+                if upper <= FAR_M:
+                    self._lines.put((a, b), *shape_a.line_to(shape_b, reach))
         smaller = min(shape_a.area, shape_b.area)
         overlap = kernels.overlap_area(shape_a.hull, shape_b.hull) / smaller if smaller > 0 else 0.0
         if overlap > 0.0:
@@ -281,6 +288,7 @@ class Relations:
         rest = resting(mine, under, around.floor_below(x, y, mine.lowest), around.seen_free)
         found: dict[tuple[str, ...], float] = {("contact", thing, o): share for o, share in rest.shares.items()}
         found["footing_seen", thing] = rest.footing_seen
+        found["rest_level", thing] = rest.level
         if max(rest.shares.values(), default=0.0) < FIRM_FOOTING:
             ceiling = around.ceiling_above(x, y, mine.highest)
             found.update({("top_contact", thing, o): share for o, share in hanging(mine, under, ceiling).items()})

@@ -18,6 +18,13 @@ COARSE_CELL_M = 0.06
 CLUSTER_CELL_M = 0.06
 """Parts of a thing are no farther apart than about two of these; what lies farther is another thing's, mistaken for
 it."""
+PART_SHARE = 0.05
+PART_BESIDE_M = 0.08
+PART_INSIDE = 0.6
+PART_GAP_M = 0.45
+MOST_PARTS = 3
+"""… but for what lies right under or over it: a seat hides the column that joins it to its foot. Such a part has this
+share of the votes, and so much of it lies over or under the main part, give or take a margin, at most this far off."""
 EXTREME_SHARE = 0.003
 """Share of the votes that may stick out of a box at the bottom; half of it at the top: outliers of depth and pose."""
 SIDE_SHARE = 0.001
@@ -49,7 +56,7 @@ class Shape:
         """The shape without what few votes say sticks out of it; None when there are too few points for one."""
         if len(points) < 4:
             return None
-        together = columns.largest_cluster(points, weights, CLUSTER_CELL_M)
+        together = _parts_of_one(points, weights)
         points, weights = points[together], weights[together]
         if len(points) < 4:
             return None
@@ -173,3 +180,34 @@ class Shape:
             return reach, p, q
         least, i, j = shapes.nearest_pair(mine, theirs)
         return float(least), mine[i], theirs[j]
+
+    def line_to(self, other: Shape, reach: float) -> tuple[Array, Array]:
+        """The ends (3,), (3,) of a line between nearest points: of all that are within `reach`, give or take a coarse
+        cell, the highest, since sides of things are upright and what stands between them need not reach down to their
+        feet."""
+        i, j = shapes.highest_pair(self.coarse, other.coarse, reach + COARSE_CELL_M)
+        if i < 0:
+            _, p, q = self.distance_m(other)
+            return p, q
+        return self.coarse[i], other.coarse[j]
+
+
+def _parts_of_one(points: NDArray[np.float32], weights: NDArray[np.float32]) -> Array:
+    """(N,) bool: the largest cluster of points (N, 3), and what stands apart from it only in height."""
+    together: Array = columns.largest_cluster(points, weights, CLUSTER_CELL_M)
+    total, left = float(weights.sum()), ~together
+    for _ in range(MOST_PARTS):
+        if weights[left].sum() < PART_SHARE * total:
+            break
+        rest = np.flatnonzero(left)
+        part = rest[columns.largest_cluster(points[rest], weights[rest], CLUSTER_CELL_M)]
+        left[part] = False
+        if weights[part].sum() < PART_SHARE * total:
+            break
+        hull = shapes.convex_hull(points[together, :2].astype(np.float64))
+        inside = shapes.points_inside(hull, points[part, :2].astype(np.float64), PART_BESIDE_M)
+        low, high = points[together, 2].min(), points[together, 2].max()
+        apart = max(low - points[part, 2].max(), points[part, 2].min() - high)
+        if inside.mean() >= PART_INSIDE and apart <= PART_GAP_M:
+            together[part] = True
+    return together

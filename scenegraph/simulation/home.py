@@ -169,7 +169,8 @@ class Home:
         return {o.id: o for o in self.objects}
 
     def relations(self) -> frozenset[Relation]:
-        """All (relation, a, b) that hold: `on`, `in` (a thing, or a room), `above`, `near` with a < b; found once."""
+        """All (relation, a, b) that hold: `on`, `in` (a thing, or a room), `above`, `attached_to` and `hanging_from` (a
+        thing, or a true plane); `near`, `next_to` and `touching` with a < b. Found once."""
         return frozenset(self.relation_values)
 
     @cached_property

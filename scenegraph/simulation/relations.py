@@ -1,11 +1,13 @@
 """Which spatial relations truly hold between the things of a home, from their exact meshes.
 
 The definitions are those of the scene graph's relations: contact of footings for `on`, enclosed space for `in`, shares
-of footprints for rooms, columns for `above`, and the shortest way around structure for `near`. Lengths in metres.
+of footprints for rooms, columns for `above`, the shortest way around structure for `near`; the rest is in `adjoining`.
+Lengths in metres.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -14,6 +16,7 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
+from scenegraph.simulation.adjoining import TOUCHING_M, box_gaps, fixed, next_to
 from scenegraph.simulation.rays import RayScene
 from scenegraph.simulation.shapes import Array
 from scenegraph.simulation.ways import WayAround
@@ -22,6 +25,9 @@ if TYPE_CHECKING:
     from scenegraph.simulation.home import Home, TrueObject
 
 Relation: TypeAlias = tuple[str, str, str]
+
+GROUND = "ground"
+"""Stands for floors where things are named."""
 
 CONTACT_GAP_M = 0.03
 CONTACT_SHARE = 0.2
@@ -42,7 +48,7 @@ class Body:
     """A thing prepared for measuring: its own ray-casting scene, hull on the ground, samples and columns.
 
     samples (n, 3) points spread evenly over its surface, and its vertices; footing (m, 3) the lowest points of the
-    columns whose lowest material lies within the contact gap of the lowest point of all
+    columns whose lowest material lies within the contact gap of the lowest point of all; columns (k, 2) over its box
     """
 
     thing: TrueObject
@@ -54,6 +60,7 @@ class Body:
     samples: Array
     tree: Any
     footing: Array
+    columns: Array
 
     @property
     def longer_side(self) -> float:
@@ -62,15 +69,25 @@ class Body:
 
 
 def true_relations(home: Home) -> dict[Relation, float]:
-    """Relation (name, a, b) → the value that was measured, for all that hold: `on`, `in`, `near` (a < b), `above`."""
+    """Relation (name, a, b) → the value that was measured, for all that hold.
+
+    `on`, `in`, `above`; `near`, `next_to`, `touching` with a < b; `attached_to`, `hanging_from`: b may be a true plane.
+    """
     bodies = [_body(o) for o in home.objects]
     found: dict[Relation, float] = {}
     contacts = _contacts(home, bodies)
     by_id = {b.thing.id: b for b in bodies}
+    borne: defaultdict[str, float] = defaultdict(float)
+    bearers: defaultdict[str, set[str]] = defaultdict(set)
     for (upper, lower), share in contacts.items():
-        rank = (by_id[upper].lower[2], upper), (by_id[lower].lower[2], lower)
-        if share >= CONTACT_SHARE and rank[0] > rank[1]:
+        borne[upper] += share
+        if share < CONTACT_SHARE:
+            continue
+        if lower == GROUND:
+            bearers[upper].add(GROUND)
+        elif (by_id[upper].lower[2], upper) > (by_id[lower].lower[2], lower):
             found["on", upper, lower] = share
+            bearers[upper].add(lower)
     for a, b, share in _overlapping(bodies):
         for one, other in ((a, b), (b, a)):
             inside = _inside(one, other)
@@ -81,7 +98,11 @@ def true_relations(home: Home) -> dict[Relation, float]:
                 if rise > CONTACT_GAP_M:
                     found["above", one.thing.id, other.thing.id] = rise
     found.update(_rooms(home, bodies, found))
-    found.update(_near(home, bodies))
+    near = _near(home, bodies)
+    found.update(near)
+    found.update(next_to(by_id, near, {name: frozenset(bearers[name]) for name in by_id}))
+    found.update(_touching(bodies))
+    found.update(fixed(home, bodies, borne))
     return found
 
 
@@ -100,7 +121,7 @@ def _body(thing: TrueObject) -> Body:
     lowest = lower[2] - 0.1 + scene.cast(start, up)[0]
     footing = np.column_stack([columns, lowest])[lowest <= lower[2] + CONTACT_GAP_M]
     hull = shapely.MultiPoint(thing.vertices[:, :2]).convex_hull
-    return Body(thing, scene, hull, lower, upper, axes, samples, cKDTree(samples), footing)
+    return Body(thing, scene, hull, lower, upper, axes, samples, cKDTree(samples), footing, columns)
 
 
 def _columns(center: Array, half: Array, axes: Array, count: int) -> Array:
@@ -131,19 +152,21 @@ def _spread(thing: TrueObject) -> Array:
 
 
 def _contacts(home: Home, bodies: list[Body]) -> dict[tuple[str, str], float]:
-    """(a, b) → share of a's footing under which the first other material downwards, within the gap, is b's."""
+    """(a, b) → share of a's footing under which the first other material downwards, within the gap, is b's, or the
+    structure's (`GROUND`)."""
     feet = [b.footing for b in bodies]
     points = np.concatenate(feet)
     points = points - np.array([0.0, 0.0, _EPSILON_M])
     distance, triangle = home.renderer.scene.cast(points, np.array([0.0, 0.0, -1.0]))
-    entity = np.where(distance <= CONTACT_GAP_M, home.renderer.entities_of(triangle), 0)
+    entity = np.where(distance <= CONTACT_GAP_M, home.renderer.entities_of(triangle), -1)
     owner = np.repeat(np.arange(len(bodies)), [len(f) for f in feet])
     shares: dict[tuple[str, str], float] = {}
     for k, body in enumerate(bodies):
-        below = np.bincount(entity[owner == k], minlength=1)
-        for e in np.flatnonzero(below[1:]) + 1:
-            if e <= len(bodies) and bodies[e - 1] is not body:
-                shares[body.thing.id, bodies[e - 1].thing.id] = float(below[e] / below.sum())
+        below = np.bincount(entity[owner == k] + 1, minlength=2)
+        for e in np.flatnonzero(below[1:]):
+            if e <= len(bodies) and (e == 0 or bodies[e - 1] is not body):
+                lower = bodies[e - 1].thing.id if e else GROUND
+                shares[body.thing.id, lower] = float(below[e + 1] / below.sum())
     return shares
 
 
@@ -243,6 +266,16 @@ def _near(home: Home, bodies: list[Body]) -> dict[Relation, float]:
         gap = surface_gap(a, b, reach) if together else ways.length(a.samples, b.samples, reach)
         if gap <= reach:
             result["near", a.thing.id, b.thing.id] = gap
+    return result
+
+
+def _touching(bodies: list[Body]) -> dict[Relation, float]:
+    result: dict[Relation, float] = {}
+    for i, j in np.argwhere(np.triu(box_gaps(bodies) <= TOUCHING_M, 1)).tolist():
+        gap = surface_gap(bodies[i], bodies[j], TOUCHING_M)
+        if gap <= TOUCHING_M:
+            a, b = sorted((bodies[i].thing.id, bodies[j].thing.id))
+            result["touching", a, b] = gap
     return result
 
 

@@ -111,14 +111,48 @@ def touching(world: Measured, a: str, b: str) -> Truth:
     gap = world.mutual("gap", a, b)
     if gap is None or a == b:
         return "false"
+    for contact in (world.get("contact", a, b), world.get("contact", b, a)):
+        if contact is not None and contact != "unknown" and contact >= SHARE:
+            return "true"
     return "unknown" if gap == "unknown" else "true" if gap <= CONTACT_GAP else "false"
+
+
+def next_to(world: Measured, a: str, b: str) -> Truth:
+    supports = [every(on(world, a, s), on(world, b, s)) for s in [*world.objects, *world.structure]]
+    shared: Truth = "true" if "true" in supports else "unknown" if "unknown" in supports else "false"
+    between = world.mutual("things_between", a, b)
+    free: Truth = "true" if between is None else "unknown" if between == "unknown" else "false" if between else "true"
+    return every(near(world, a, b), shared, free)
+
+
+def stands_on_nothing(world: Measured, a: str) -> Truth:
+    shares = [world.get("contact", a, b) for b in [*world.objects, *world.structure]]
+    if "unknown" in shares:
+        return "unknown"
+    return "false" if any(share is not None and share >= SHARE for share in shares) else "true"
+
+
+def attached_to(world: Measured, a: str, b: str) -> Truth:
+    share = world.get("side_contact", a, b)
+    return "false" if share is None else every(at_least(share, SHARE), stands_on_nothing(world, a))
+
+
+def hanging_from(world: Measured, a: str, b: str) -> Truth:
+    share = world.get("top_contact", a, b)
+    return "false" if share is None else every(at_least(share, SHARE), stands_on_nothing(world, a))
+
+
+JUDGES = {
+    "on": on, "in": inside, "above": above, "near": near, "next_to": next_to, "touching": touching,
+    "attached_to": attached_to, "hanging_from": hanging_from,
+}  # fmt: skip
 
 
 def relations(world: Measured) -> dict[Truth, set[tuple[str, str, str]]]:
     """Every pair of every canonical relation, by truth (false left out)."""
     found: dict[Truth, set[tuple[str, str, str]]] = {"true": set(), "unknown": set()}
     things = [*world.objects, *world.structure]
-    for name, judge in (("on", on), ("in", inside), ("above", above), ("near", near), ("touching", touching)):
+    for name, judge in JUDGES.items():
         for a in things:
             for b in things:
                 truth = judge(world, a, b)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from reasoning import KnowledgeBase
 from tests.reasoning.homes import fact
-from tests.reasoning.naive_rules import Measured, relations, room_of
+from tests.reasoning.naive_rules import JUDGES, Measured, relations, room_of
 
 OBJECTS, STRUCTURE, ROOMS = ["a", "b", "c", "d"], ["w"], ["r_1", "r_2"]
 THINGS = [*OBJECTS, *STRUCTURE]
@@ -23,12 +23,15 @@ DIRECTED: dict[str, list[Any]] = {
     "rise": [-1.0, 0.03, 0.04, 0.5, "unknown"],
     "structure_between": [0, 1, "unknown"],
     "same_storey": [0, 1],
+    "side_contact": [0.1, 0.2, 1.0, "unknown"],
+    "top_contact": [0.1, 0.2, 1.0, "unknown"],
 }
 SYMMETRIC: dict[str, list[Any]] = {
     "footprint_overlap": [0.1, 0.2, 1.0, "unknown"],
     "path_gap_upper": [0.0, 0.4, 0.7, 1.5, 1e9, "unknown"],
     "path_gap_lower": [0.0, 0.4, 0.7, 1.5, 1.6],
     "gap": [0.0, 0.03, 0.031, "unknown"],
+    "things_between": [0, 1, 2, "unknown"],
 }
 
 
@@ -77,7 +80,7 @@ def empty() -> Any:
 
 
 def canonical(knowledge: KnowledgeBase, truth: str) -> set[tuple[str, str, str]]:
-    goal = f"member(R, [on, in, above, near, touching]), judged(R, A, B, {truth}, _)"
+    goal = f"member(R, [{', '.join(JUDGES)}]), judged(R, A, B, {truth}, _)"
     return {(str(row["R"]), str(row["A"]), str(row["B"])) for row in knowledge.call(goal)}
 
 
@@ -104,7 +107,7 @@ def test_the_laws_hold(empty: KnowledgeBase, world: Measured) -> None:
 
     for relation, inverse in (("on", "supports"), ("in", "contains"), ("above", "under")):
         assert pairs(inverse) == {(b, a) for a, b in pairs(relation)}
-    for relation in ("near", "touching"):
+    for relation in ("near", "next_to", "touching"):
         assert pairs(relation) == {(b, a) for a, b in pairs(relation)}
     assert acyclic(pairs("on"))
     assert not pairs("above") & pairs("on")
@@ -131,7 +134,7 @@ def test_the_edges_of_some_ids_are_all_edges_that_touch_them(
 
 
 @settings(max_examples=25, deadline=None)
-@given(world=worlds, name=st.sampled_from(["on", "in", "above", "near", "touching", "supports", "contains", "under"]))
+@given(world=worlds, name=st.sampled_from([*JUDGES, "supports", "contains", "under"]))
 def test_every_way_of_asking_gives_the_same(empty: KnowledgeBase, world: Measured, name: str) -> None:
     tell(empty, world)
     unbound = {(str(row["A"]), str(row["B"])) for row in empty.call(f"holds({name}, A, B)")}

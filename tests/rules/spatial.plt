@@ -189,6 +189,15 @@ test(unknown_while_a_contact_is, true(Truth == unknown)) :-
 test(two_common_supports_are_one_answer, all(B == [jar])) :-
     tell([measured(contact, jar, table, 0.5), measured(contact, cup, shelf, 0.5), measured(contact, jar, shelf, 0.5)]),
     judged(next_to, cup, B, true, _).
+test(two_pieces_of_one_floor_are_one_support, all(B == [jar])) :-
+    tell([ node(f, structure), label(f, floor), position(f, 0, 0, 0.0), measured(contact, cup, f, 1.0),
+           node(g, structure), label(g, floor), position(g, 3, 0, 0.05), measured(contact, jar, g, 1.0),
+           measured(contact, cup, table, 0.0), measured(contact, jar, table, 0.0), measured(contact, cup, shelf, 0.0),
+           measured(contact, jar, shelf, 0.0) ]),
+    judged(next_to, cup, B, true, _).
+test(two_floors_are_not, fail) :-
+    tell([position(g, 3, 0, 2.7)]),
+    holds(next_to, cup, jar).
 test(not_near_not_next_to, fail) :-
     tell([measured(path_gap_upper, cup, jar, 0.6), measured(path_gap_lower, cup, jar, 0.6)]),
     holds(next_to, cup, jar).

@@ -78,6 +78,39 @@ def test_near_names_each_pair_once_and_what_bears_a_thing_is_near_it(seed):
     assert {(min(a, b), max(a, b)) for a, b in pairs(seed, "on")} <= near
 
 
+@two_homes
+def test_what_is_next_to_another_is_near_it_and_what_bears_a_thing_touches_it(seed):
+    assert pairs(seed, "next_to") <= pairs(seed, "near")
+    assert {(min(a, b), max(a, b)) for a, b in pairs(seed, "on")} <= pairs(seed, "touching")
+    assert not {(min(a, b), max(a, b)) for a, b in pairs(seed, "on")} & pairs(seed, "next_to")
+
+
+@two_homes
+def test_what_was_hung_on_a_wall_is_fixed_to_a_wall_of_its_room_and_rests_on_nothing(seed):
+    h = home(seed)
+    walls = {plane.id: plane.source for plane in h.structure if plane.kind == "wall"}
+    hung = {o.id for o in h.objects if o.support is None and o.vertices[:, 2].min() > 0.3}
+    fixed = {a for a, b in pairs(seed, "attached_to") if b in walls}
+    assert hung
+    assert hung == fixed
+    assert all(h.thing(a).room == walls[b] for a, b in pairs(seed, "attached_to") if b in walls)
+    assert not fixed & {a for a, _ in pairs(seed, "on")}
+
+
+@two_homes
+def test_nothing_stands_between_things_next_to_each_other_and_something_does_between_some_near_ones(seed):
+    h = home(seed)
+    bearers = {o.id: o.support for o in h.objects}
+    together = {(a, b) for a, b in pairs(seed, "near") if bearers[a] is not None and bearers[a] == bearers[b]}
+    parted = together - pairs(seed, "next_to")
+    assert parted
+    assert together - parted
+    shelves = {o.id for o in h.objects if o.label == "shelf"}
+    for a, b in pairs(seed, "next_to"):
+        if bearers[a] in shelves and bearers[a] == bearers[b]:  # on one board
+            assert abs(h.thing(a).vertices[:, 2].min() - h.thing(b).vertices[:, 2].min()) < 0.05
+
+
 def test_relations_do_not_change_when_the_home_is_turned():
     assert simulate_home(9, yaw=0.7).relations() == home(9).relations()
 
