@@ -327,10 +327,9 @@ judged(blocks, A, Door, Truth, [test(clear_width, Width, <, robot_width, Needed)
 %   footing_in_contact(+A, +B, -Test): one rests on the other, where the surfaces between were not seen.
 footing_in_contact(A, B, test(contact, Share, >=, contact_share, Enough)) :-
     contact_share(Enough),
-    ( measured(contact, A, B, Share) ; measured(contact, B, A, Share) ),
-    number(Share),
-    Share >= Enough,
-    !.
+    findall(S, ( ( measured(contact, A, B, S) ; measured(contact, B, A, S) ), number(S) ), [First|Shares]),
+    max_list([First|Shares], Share),
+    Share >= Enough.
 
 %   beside(+Near, +NearTest, +A, +B, -Truth, -Tests): two things that are near, are they next to each other?
 beside(false, NearTest, _, _, Truth, [NearTest]) :- !, Truth = false.

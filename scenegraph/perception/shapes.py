@@ -89,9 +89,9 @@ class Shape:
 
     @cached_property
     def ground_samples(self) -> Array:
-        """(N, 2) points spread over the hull, about one each 5 cm; its corners and middle for a small thing."""
+        """(N, 2) points spread over the hull, about one each 5 cm, closer on a small thing; else its corners and middle."""
         low, high = self.hull.min(axis=0), self.hull.max(axis=0)
-        steps = np.clip(np.ceil((high - low) / 0.05).astype(int), 2, 60)
+        steps = np.clip(np.ceil((high - low) / 0.05).astype(int), 12, 60)
         grid = np.stack(np.meshgrid(*(np.linspace(a, b, n) for a, b, n in zip(low, high, steps, strict=True))), axis=-1)
         inside = grid.reshape(-1, 2)[shapes.points_inside(self.hull, grid.reshape(-1, 2), 1e-9)]
         return inside if len(inside) >= 4 else np.vstack([self.hull, self.hull.mean(axis=0)])

@@ -55,7 +55,7 @@ def next_to(
 
 
 def _nearest(a: Body, b: Body) -> tuple[Array, Array]:
-    """Samples (3,) of two things that lie nearest to each other; the highest of those that are as near as can be told."""
+    """Samples (3,) of two things that lie nearest to each other; the highest of all that are as near."""
     few, many = (a, b) if len(a.samples) <= len(b.samples) else (b, a)
     distance, at = many.tree.query(few.samples)
     low = np.minimum(few.samples[:, 2], many.samples[at, 2])
