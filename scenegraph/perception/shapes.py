@@ -89,7 +89,7 @@ class Shape:
 
     @cached_property
     def ground_samples(self) -> Array:
-        """(N, 2) points spread over the hull, about one each 5 cm, closer on a small thing; else its corners and middle."""
+        """(N, 2) points spread over the hull, one each 5 cm or closer; corners and middle of what has hardly any."""
         low, high = self.hull.min(axis=0), self.hull.max(axis=0)
         steps = np.clip(np.ceil((high - low) / 0.05).astype(int), 12, 60)
         grid = np.stack(np.meshgrid(*(np.linspace(a, b, n) for a, b, n in zip(low, high, steps, strict=True))), axis=-1)
