@@ -7,6 +7,7 @@ refinement), made incremental: what a block contributes to a plane is additive a
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -27,6 +28,8 @@ _REACH_M = 0.25
 """Coarse cell for telling pieces apart: gaps above twice this always part a plane."""
 _LEAST_BORDER_M2 = 0.1
 """Smaller holes and parts do not show in a plane's borders."""
+_UNMOVED = 0.1
+"""A block whose samples all stayed within so many voxels says of planes what it said before."""
 
 
 class Surface(Protocol):
@@ -227,18 +230,31 @@ class PlaneMap:
 
     # -- change -------------------------------------------------------------------------------------------
     def update(self, surface: Surface, changed_blocks: Any) -> PlaneChange:
-        """Read the blocks that changed (a `Changed`, or indices (K, 3)) from the surface anew, and follow."""
+        """Read the blocks that changed (a `Changed`, or indices (K, 3)) from the surface anew, and follow.
+
+        Blocks whose samples stayed within `_UNMOVED` voxels of where they were are left as they are.
+        """
         block_ijk = np.asarray(getattr(changed_blocks, "blocks", changed_blocks), dtype=np.int32).reshape(-1, 3)
         if not len(block_ijk):
             return PlaneChange()
-        return self.replace(block_ijk, *surface.surface(block_ijk))
+        points, normals, owner = _by_block(*surface.surface(block_ijk))
+        old, slot_of, old_owner = self._pieces.samples_in(block_ijk.tolist())
+        same = np.empty(len(block_ijk), np.bool_)
+        kernels.find_unmoved(same, points, owner, old, old_owner, _UNMOVED * self.voxel_size_m)
+        seen = {self._id_of[slot] for slot in np.unique(slot_of[same[old_owner]]).tolist() if slot in self._id_of}
+        if same.all():
+            return PlaneChange(tuple(sorted(seen)))
+        moved = ~same[owner]
+        number = np.cumsum(~same) - 1
+        change = self._replace(block_ijk[~same], points[moved], normals[moved], number[owner[moved]])
+        return replace(change, changed=tuple(sorted((seen - set(change.deleted)).union(change.changed))))
 
     def replace(self, block_ijk: Array, points: Array, normals: Array, block_of_point: Array) -> PlaneChange:
         """Set the samples of the blocks (K, 3): points and normals (N, 3), and the row of `block_ijk` of each (N,)."""
-        order = np.argsort(block_of_point, kind="stable")
-        points = np.ascontiguousarray(points[order], dtype=np.float32)
-        normals = np.ascontiguousarray(normals[order], dtype=np.float32)
-        owner = np.asarray(block_of_point)[order]
+        return self._replace(block_ijk, *_by_block(points, normals, block_of_point))
+
+    def _replace(self, block_ijk: Array, points: Array, normals: Array, owner: Array) -> PlaneChange:
+        """As `replace`, with float32 samples by ascending block."""
         keys: list[Key] = [(i, j, k) for i, j, k in block_ijk.tolist()]
         codes, at, place_of_block = np.unique(
             self._pieces.place_codes(block_ijk), return_index=True, return_inverse=True
@@ -479,6 +495,14 @@ def extract_planes(
     blocks, block_of = np.unique(voxels >> 3, axis=0, return_inverse=True)
     planes.replace(blocks.astype(np.int32), thinned, oriented, block_of.reshape(-1))
     return sorted(planes.planes(), key=lambda plane: -plane.area_m2)
+
+
+def _by_block(points: Array, normals: Array, block_of_point: Array) -> tuple[Array, Array, Array]:
+    """Points and normals (N, 3) as float32, and the block (N,) of each, by ascending block."""
+    order = np.argsort(block_of_point, kind="stable")
+    points = np.ascontiguousarray(points[order], dtype=np.float32)
+    normals = np.ascontiguousarray(normals[order], dtype=np.float32)
+    return points, normals, np.asarray(block_of_point)[order]
 
 
 _NEIGHBOURS = 16

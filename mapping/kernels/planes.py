@@ -49,6 +49,33 @@ def accumulate(moments: Array, plane_of: Array, points: Array, normals: Array, s
 
 
 @njit(cache=True)
+def find_unmoved(same: Array, points: Array, block_of: Array, old: Array, old_block_of: Array, reach: float) -> None:
+    """Which blocks hold as many samples as they did, each within `reach` [m] along each axis of what it was, in place.
+
+    points, old : (N, 3), (M, 3) float32 [m], by ascending block (N,), (M,);  same : (K,) bool
+    """
+    a = b = 0
+    for k in range(len(same)):
+        n = 0
+        same[k] = True
+        while a + n < len(points) and block_of[a + n] == k:
+            m = b + n
+            if m >= len(old) or old_block_of[m] != k:
+                same[k] = False
+            elif same[k]:
+                for d in range(3):
+                    if abs(points[a + n, d] - old[m, d]) > reach:
+                        same[k] = False
+            n += 1
+        a += n
+        while b < len(old) and old_block_of[b] == k:
+            b += 1
+            n -= 1
+        if n != 0:
+            same[k] = False
+
+
+@njit(cache=True)
 def fit(moments: Array, normal: Array) -> tuple[float, float]:
     """The least-squares plane of the moments (13,): writes its unit normal (3,), returns its offset and the rms [m].
 
