@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, cast
 
 from mapping.observations import ClassInfo
 from reasoning.knowledge import KnowledgeBase
@@ -67,6 +67,13 @@ class Meaning:
     def is_container(self, label: str) -> bool:
         """Whether the taxonomy calls things of this class containers."""
         return self._known(self._containers, label, lambda c: Compound("container", (c,)))
+
+    @property
+    def near_m(self) -> tuple[float, float]:
+        """Between which bounds [m] the rules say how near is near."""
+        goal = "spatial:threshold(near_least, Least, _, _), spatial:threshold(near_most, Most, _, _)"
+        [answer] = self.knowledge.call(goal, limit=1)
+        return float(cast(float, answer["Least"])), float(cast(float, answer["Most"]))
 
     def is_structural(self, label: str) -> bool:
         """Whether things of this class are part of the building: doors, windows."""

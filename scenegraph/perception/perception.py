@@ -60,7 +60,7 @@ class Perception:
         self.passages = Passages()
         self.free_places = FreePlaces(robot_radius_m)
         self.building = Building(map_.planes, map_.occupancy, self._storey_at)
-        self.relations = Relations(meaning.is_container)
+        self.relations = Relations(meaning.is_container, meaning.near_m)
 
     @collector_paused()
     def perceive(

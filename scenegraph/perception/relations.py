@@ -86,10 +86,12 @@ class Relations:
     """Keeps the measurements of all pairs near each other in step with the things' shapes.
 
     is_container(label): whether the taxonomy says that the whole box of such a thing is its inside.
+    near_m: between which bounds [m] the rules say how near is near: half the sum of the longer sides
     """
 
-    def __init__(self, is_container: Callable[[str], bool]) -> None:
+    def __init__(self, is_container: Callable[[str], bool], near_m: tuple[float, float] = (0.5, 1.5)) -> None:
         self._is_container = is_container
+        self._near_m = near_m
         self._index = GroundIndex()
         self._lines = Lines()
         self._facts: dict[tuple[str, ...], float] = {}
@@ -235,15 +237,16 @@ class Relations:
             if reach <= FAR_M:
                 apart = 0.5 * SAMPLED_VOXELS * (shape_a.voxel_size_m + shape_b.voxel_size_m)
                 fresh["gap", a, b] = gap = float(np.sqrt(max(0.0, reach * reach - apart * apart)))
-                upper = lower = gap
-                passage = around.between(p, q) if gap > 0.0 else "clear"
+                upper = lower = gap  # where this is too far already, the way around is not looked for
+                near = float(np.clip(0.5 * (shape_a.box.size[0] + shape_b.box.size[0]), *self._near_m))
+                passage = around.between(p, q) if 0.0 < gap <= near else "clear"
                 if passage != "clear":
                     upper, lower = around.way_around(p, q, FAR_M)
                 if passage == "unseen":
                     lower = gap
                 fresh["path_gap_upper", a, b] = min(upper, NO_PATH_M)
                 fresh["path_gap_lower", a, b] = min(lower, NO_PATH_M)
-                if upper <= FAR_M:
+                if upper <= near:
                     self._lines.put((a, b), *shape_a.line_to(shape_b, reach))
         smaller = min(shape_a.area, shape_b.area)
         overlap = kernels.overlap_area(shape_a.hull, shape_b.hull) / smaller if smaller > 0 else 0.0
