@@ -8,6 +8,7 @@ than `max_gap_s` are not joined.
 from __future__ import annotations
 
 from bisect import bisect_left, insort
+from collections.abc import Callable
 
 import numpy as np
 
@@ -53,6 +54,10 @@ class TimedPose:
         self._static = pose
         self._stamps.clear()
         self._poses.clear()
+
+    def change(self, changed: Callable[[int, SE3], SE3]) -> None:
+        """Replace every sample; a static pose stays."""
+        self._poses = {stamp_ns: changed(stamp_ns, pose) for stamp_ns, pose in self._poses.items()}
 
     def at(self, stamp_ns: int) -> SE3 | str:
         """The pose at `stamp_ns`, or, in words, why it is not known."""
@@ -140,6 +145,17 @@ class FrameTree:
             self._add_transform(robot, observation)
         else:
             self._add_agent_pose(robot, observation)
+
+    def correct(self, robot: str, correction: Callable[[int], SE3]) -> None:
+        """Move where the robot has been in map: `correction(stamp_ns)` is how the map there has moved since.
+
+        Only the edges from map are changed, at the samples that are remembered; odometry stays.
+        """
+        tree = self._robots.get(robot)
+        if tree is not None:
+            for child, edge in tree.edges.items():
+                if tree.parent[child] == MAP:
+                    edge.change(lambda stamp_ns, pose: correction(stamp_ns) @ pose)
 
     def _add_transform(self, robot: _Robot, edge: Transform) -> None:
         known = robot.parent.get(edge.child)

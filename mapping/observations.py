@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
@@ -391,6 +392,38 @@ class AgentPose(Observation):
     _covariance_is_one = field_validator("covariance")(_covariance)
 
 
+class CorrectedPose(Observation):
+    """Where a robot's base_link was at stamp_ns, as is known now; and as was believed, None: looked up in the frame
+    tree."""
+
+    stamp_ns: Stamp
+    T_map_base: Pose
+    T_map_base_before: Pose | None = None
+
+
+class PoseCorrection(Observation):
+    """Past poses of a robot that turned out to be others, as when a loop is closed.
+
+    stamp_ns   when that was found out: what was seen until then was seen from the poses as they were believed
+    poses      in order of time, none after stamp_ns. Between two the correction is interpolated; after the last it
+               holds until stamp_ns; before the first nothing is corrected
+    """
+
+    stamp_ns: Stamp
+    robot: Name
+    poses: Annotated[tuple[CorrectedPose, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _in_order_of_time(self) -> PoseCorrection:
+        stamps = [pose.stamp_ns for pose in self.poses]
+        for earlier, later in pairwise(stamps):
+            if earlier >= later:
+                raise ValueError(f"poses: expected them in order of time, each once, got {later} after {earlier}")
+        if stamps[-1] > self.stamp_ns:
+            raise ValueError(f"poses: expected none after stamp_ns {self.stamp_ns}, got {stamps[-1]}")
+        return self
+
+
 class Transform(Observation):
     """An edge of the frame tree: `T_parent_child` at stamp_ns; a static one holds at all times."""
 
@@ -467,5 +500,6 @@ class RobotDescription(Observation):
 
 
 OBSERVATIONS: dict[str, Callable[..., Observation]] = {
-    model.__name__: model for model in (RgbdImage, Scan, Detections, AgentPose, Transform, LabelSpace, RobotDescription)
+    model.__name__: model
+    for model in (RgbdImage, Scan, Detections, AgentPose, PoseCorrection, Transform, LabelSpace, RobotDescription)
 }

@@ -23,25 +23,28 @@ def moved_box(box: Box, T: SE3) -> Box:
 
 
 def moved(node: Node, T: SE3) -> Node:
-    """The node carried along: position, box, and of its attributes the footprint, polygon, plane, heights and velocity.
+    """The node carried along: position, box, and of its attributes the places, outlines, planes, heights, velocities.
 
-    The box of a room or storey stays upright along the axes of the map and is the one about what it held. A motion that
-    is none gives the node itself.
+    The box of a room or storey stays along the axes of the map: the one about its footprint, or about the box it had.
+    A motion that is none gives the node itself.
     """
     if T.isclose(SE3.identity(), atol=0.0):
         return node
     position = T @ node.position
-    box = node.box
-    if box is not None:
-        box = _about(moved_box(box, T)) if node.layer in ("room", "storey", "building") else moved_box(box, T)
     attributes = {name: _moved_attribute(name, value, node, T) for name, value in node.attributes.items()}
+    box = None if node.box is None else moved_box(node.box, T)
+    if box is not None and node.layer in ("room", "storey", "building"):
+        box = _about(box, attributes.get("footprint"))
     return node.replace(position=position, box=box, attributes=attributes)
 
 
-def _about(box: Box) -> Box:
-    """The box along the axes of the map about another."""
+def _about(box: Box, footprint: Any) -> Box:
+    """The box along the axes of the map about a footprint, where there is one, or about another box."""
     corners = box.corners()
     low, high = corners.min(axis=0), corners.max(axis=0)
+    if isinstance(footprint, list) and len(footprint) >= 3:
+        ground = np.array([corner[:2] for corner in footprint], np.float64)
+        low[:2], high[:2] = ground.min(axis=0), ground.max(axis=0)
     return Box(center=0.5 * (low + high), size=high - low)
 
 
@@ -55,9 +58,9 @@ def _moved_attribute(name: str, value: Any, node: Node, T: SE3) -> Any:
             return [np.round(T @ np.array(ring, np.float64), _DIGITS).tolist() for ring in value]
         if name == "boundary":
             return np.round(T @ np.array(value, np.float64).reshape(-1, 3), _DIGITS).tolist()
-        if name == "normal":
-            return np.round(T.rotation @ np.array(value, np.float64), _DIGITS).tolist()
-        if name == "velocity":
+        if name == "moved_from":
+            return np.round(T @ np.array(value, np.float64), _DIGITS).tolist()
+        if name in ("normal", "velocity"):
             return np.round(T.rotation @ np.array(value, np.float64), _DIGITS).tolist()
         if name == "offset" and "normal" in node.attributes:
             normal = T.rotation @ np.array(node.attributes["normal"], np.float64)

@@ -31,6 +31,7 @@ def save(world: World, path: Path) -> None:
                 "statements": [statement.as_json() for statement in world.statements],
                 "perception": world.perception.document(),
                 "events": world.event_log.document(),
+                "sightings": world.sightings.document(),
             },
         ),
     )
@@ -48,6 +49,7 @@ def load(kind: type[W], path: Path) -> W:
         world.graph = parts.graph
         world.labels.restore(documents["labels"])
         world.event_log.restore(documents["events"])
+        world.sightings.restore(documents.get("sightings", {}))
         world.robots = {r["robot"]: RobotDescription(**r) for r in documents["robots"]}
         world.perception.restore(documents["perception"], parts.layers["rooms"], world.graph)
         world.statements = [read(**told, knowledge=world.meaning.knowledge) for told in documents["statements"]]

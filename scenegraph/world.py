@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from mapping.errors import PoseUnavailable
-from mapping.frames import FrameTree
+from mapping.frames import BASE, MAP, FrameTree
 from mapping.geometry import SE3
 from mapping.layered import LayeredMap, MapChange
 from mapping.observations import (
@@ -17,6 +17,7 @@ from mapping.observations import (
     Detections,
     LabelSpace,
     Observation,
+    PoseCorrection,
     RgbdImage,
     RobotDescription,
     Scan,
@@ -36,6 +37,7 @@ from scenegraph.labels import Labels
 from scenegraph.meaning import Meaning
 from scenegraph.perception.perception import Perception
 from scenegraph.places import PlaceFinder
+from scenegraph.realigning import Corrections, Sightings, motions
 
 __all__ = ["World"]
 
@@ -63,6 +65,7 @@ class World:
         self.robots: dict[str, RobotDescription] = {}
         self.statements: list[statements.Statement] = []
         self.event_log = EventLog()
+        self.sightings = Sightings()
         self._knowledge = KnowledgeBase(self.config.rule_files)
         self.meaning = Meaning(self._knowledge, self.config)
         self.perception = Perception(self.map, self.labels, self.meaning, self.config.robot_radius_m)
@@ -87,6 +90,8 @@ class World:
             case AgentPose():
                 self.frames.add(observation)
                 return self._commit(self.perception.place_agent(observation, self.graph), observation.stamp_ns)
+            case PoseCorrection():
+                return self._realign(observation)
             case Transform():
                 self.frames.add(observation)
                 return self._commit(GraphChanges(), observation.stamp_ns)
@@ -99,7 +104,7 @@ class World:
             case _:
                 raise TypeError(f"World.integrate: expected an observation, got {type(observation).__name__}")
         changes = self.perception.perceive(change, self.graph, observation.stamp_ns, _source(observation))
-        return self._commit(changes, observation.stamp_ns)
+        return self._seen(changes, observation)
 
     @collector_paused()
     def _integrate_image(self, image: RgbdImage) -> MapChange:
@@ -134,14 +139,14 @@ class World:
                 boxes = sightings(detections, T_map_sensor)
                 source = _source(detections)
                 changes = self.perception.perceive(self.map.unchanged, self.graph, detections.stamp_ns, source, boxes)
-                return self._commit(changes, detections.stamp_ns)
+                return self._seen(changes, detections)
         found = self._desk.match(detections, self.labels)
         if found is None:
             return self._commit(GraphChanges(), detections.stamp_ns)
         image, T_map_camera = found
         change = self.map.label_image(image, T_map_camera, self.labels.things, self._moving)
         changes = self.perception.perceive(change, self.graph, detections.stamp_ns, _source(detections))
-        return self._commit(changes, detections.stamp_ns)
+        return self._seen(changes, detections)
 
     def _pose_of(self, detections: Detections) -> SE3 | None:
         """The pose of the sensor of detections without an image; None while it is not known."""
@@ -153,6 +158,26 @@ class World:
             return self.frames.sensor_pose(robot, sensor, detections.stamp_ns, optical=optical)
         except PoseUnavailable:
             return None
+
+    def _realign(self, correction: PoseCorrection) -> Delta:
+        """Move the things that were seen from poses that turned out to be others; the voxels do not follow yet."""
+        robot = correction.robot
+        before = [
+            pose.T_map_base_before or self.frames.lookup(robot, MAP, BASE, pose.stamp_ns) for pose in correction.poses
+        ]
+        corrections = Corrections(correction, before)
+        self.frames.correct(robot, corrections.at)
+        moves = motions(self.graph, corrections, self.sightings)
+        source = f"{robot}/correction@{correction.stamp_ns}"
+        return self._commit(
+            self.perception.realign(moves, self.graph, source, correction.stamp_ns), correction.stamp_ns
+        )
+
+    def _seen(self, changes: GraphChanges, by: RgbdImage | Scan | Detections) -> Delta:
+        """Commit what follows from what was seen, and remember when and by whom."""
+        delta = self._commit(changes, by.stamp_ns)
+        self.sightings.note(delta, by.robot, by.stamp_ns)
+        return delta
 
     @property
     def _moving(self) -> Any:

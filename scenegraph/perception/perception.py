@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.box_tracks import Sighting
+from mapping.geometry import SE3
 from mapping.labelled import labels_near
 from mapping.layered import LayeredMap, MapChange
 from mapping.observations import AgentPose
@@ -30,6 +31,8 @@ from scenegraph.perception.relations import MeasurementChange, Relations
 from scenegraph.perception.rooms import Rooms
 from scenegraph.perception.shapes import Shape
 from scenegraph.perception.structure import Structure
+from scenegraph.realigning import alike, shares_in
+from scenegraph.rigid import moved
 from scenegraph.statements import FORMS, Statement
 
 if TYPE_CHECKING:
@@ -86,7 +89,7 @@ class Perception:
         )
         changes.extend(cluster_changes)
         reshaped |= reclustered
-        mover_changes, moved = move_nodes(self._map.moving, seen.moving, self._labels.name, graph)
+        mover_changes, movers = move_nodes(self._map.moving, seen.moving, self._labels.name, graph)
         changes.extend(mover_changes)
         room_changes, moved_rooms = self.rooms.update(self._map.occupancy, seen.occupancy, labelled, graph, stamp_ns)
         changes.extend(_still_possible(room_changes, graph))
@@ -95,10 +98,10 @@ class Perception:
         _keep_told(changes, graph)
         measured = self.relations.update(self.objects.shapes, self.objects.labels, reshaped, self.building)
         measured.merge(self._room_shares(reshaped, moved_rooms, graph))
-        for mover, node in moved.items():
+        for mover, node in movers.items():
             shares = {} if node is None else self.rooms.shares(node.position[None, :2], float(node.position[2]))
             measured.merge(self.relations.set_shares(mover, shares))
-        self._meaning.infer(changes, measured, reshaped | moved_rooms | moved.keys(), graph, source, stamp_ns)
+        self._meaning.infer(changes, measured, reshaped | moved_rooms | movers.keys(), graph, source, stamp_ns)
         return changes
 
     def place_agent(self, observation: AgentPose, graph: SceneGraph) -> GraphChanges:
@@ -123,6 +126,29 @@ class Perception:
         measured = self.relations.set_shares(agent, shares)
         source = f"{observation.robot}/pose@{observation.stamp_ns}"
         self._meaning.infer(changes, measured, {agent}, graph, source, observation.stamp_ns)
+        return changes
+
+    def realign(self, moves: Mapping[str, SE3], graph: SceneGraph, source: str, stamp_ns: int) -> GraphChanges:
+        """Move nodes, and measure anew what lies between things that did not move alike; the map stays as it is."""
+        changes = GraphChanges()
+        for node_id, T in moves.items():
+            changes.put(moved(graph.node(node_id), T))
+        things = moves.keys() & self.objects.shapes.keys()
+        before = self.relations.between(things)
+        for thing in things:
+            self.objects.shapes[thing] = self.objects.shapes[thing].moved(moves[thing])
+
+        def same(one: str, other: str) -> bool:
+            return one in graph and other in graph and alike(graph, moves, one, other)
+
+        measured = self.relations.update(self.objects.shapes, self.objects.labels, things, self.building)
+        measured.merge(self.relations.keep(before, things, same))
+        rooms = {node.id: moved(node, moves.get(node.id, SE3.identity())) for node in graph.nodes("room")}
+        for thing in sorted(things):
+            if not all(same(thing, room) for room in self.relations.rooms_of(thing)):
+                shares = shares_in(self.objects.shapes[thing].ground_samples, rooms.values())
+                measured.merge(self.relations.set_shares(thing, shares))
+        self._meaning.infer(changes, measured, moves.keys(), graph, source, stamp_ns)
         return changes
 
     # -- what an operator states --------------------------------------------------------------------------

@@ -177,6 +177,26 @@ class Relations:
         levels = {thing: self._facts["rest_level", thing] for thing in pair}
         return self._lines.between(pair, supports, levels, shapes, self._index.within)
 
+    def between(self, things: Iterable[str]) -> dict[tuple[str, ...], float]:
+        """All that was measured between these things and others; not in which rooms they lie."""
+        return {key: self._facts[key] for key in self._pair_keys(things)}
+
+    def keep(
+        self, before: Mapping[tuple[str, ...], float], things: Iterable[str], same: Callable[[str, str], bool]
+    ) -> MeasurementChange:
+        """Take back what has been measured anew between these things and others where nothing has changed between the
+        two, in favour of what `between` gave before."""
+        stale = {key for key in self._pair_keys(things) if same(key[1], key[2])}
+        return self._replace(stale, {key: value for key, value in before.items() if same(key[1], key[2])})
+
+    def _pair_keys(self, things: Iterable[str]) -> set[tuple[str, ...]]:
+        keys = {key for thing in things for key in self._keys_of.get(thing, ())}
+        return {key for key in keys if len(key) == 3 and key[0] != "footprint_share"}
+
+    def rooms_of(self, thing: str) -> set[str]:
+        """The rooms in which a share of its footprint lies."""
+        return {key[2] for key in self._keys_of.get(thing, ()) if key[0] == "footprint_share" and key[1] == thing}
+
     def set_shares(self, thing: str, shares: Mapping[str, float]) -> MeasurementChange:
         """Note in which rooms the footprint of a thing lies: room id → share."""
         fresh: dict[tuple[str, ...], float] = {("footprint_share", thing, r): share for r, share in shares.items()}

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.geometry import SE3
 from mapping.kernels import columns, shapes
 from scenegraph.graph import Box
 
@@ -67,6 +68,10 @@ class Shape:
         mass = np.cumsum(weights[order])
         kept[order[(mass < EXTREME_SHARE * mass[-1]) | (mass > (1.0 - EXTREME_SHARE / 2) * mass[-1])]] = False
         return Shape(np.ascontiguousarray(points[kept]) if kept.sum() >= 4 else points, voxel_size_m)
+
+    def moved(self, T: SE3) -> Shape:
+        """The shape carried along by a motion of the map."""
+        return Shape(np.ascontiguousarray(T @ self.points), self.voxel_size_m)
 
     @cached_property
     def lowest(self) -> float:

@@ -51,6 +51,7 @@ INPUT_KINDS: dict[str, str] = {
     "scan": "Scan",
     "detections": "Detections",
     "pose": "AgentPose",
+    "correction": "PoseCorrection",
     "transform": "Transform",
     "labelspace": "LabelSpace",
     "description": "RobotDescription",

@@ -10,6 +10,7 @@ from mapping.observations import (
     AgentPose,
     Detections,
     LabelSpace,
+    PoseCorrection,
     RgbdImage,
     RobotDescription,
     Scan,
@@ -36,6 +37,11 @@ def detections(**item):
 
 def agent(**changes):
     return AgentPose(**{"stamp_ns": 5, "robot": "tiago", "T_map_base": np.eye(4), **changes})
+
+
+def correction(**changes):
+    poses = [{"stamp_ns": 3, "T_map_base": np.eye(4)}]
+    return PoseCorrection(**{"stamp_ns": 5, "robot": "tiago", "poses": poses, **changes})
 
 
 def edge(**changes):
@@ -113,6 +119,10 @@ BAD = [
     (detections, "instance", -1, "greater than or equal to 0"),
     (agent, "T_map_base", NAN_POSE, "finite"),
     (agent, "covariance", np.eye(3), r"\(6, 6\)"),
+    (correction, "poses", [], "at least 1 item"),
+    (correction, "poses", [{"stamp_ns": 4, "T_map_base": NAN_POSE}], "poses.*finite"),
+    (correction, "poses", [{"stamp_ns": n, "T_map_base": np.eye(4)} for n in (2, 2)], "order of time"),
+    (correction, "poses", [{"stamp_ns": 9, "T_map_base": np.eye(4)}], "none after stamp_ns 5, got 9"),
     (edge, "parent", "base_link", "two different frames"),
     (edge, "child", "", "at least 1 character"),
     (edge, "T_parent_child", NAN_POSE, "finite"),

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapping.geometry import SE3
-from mapping.observations import AgentPose, LabelSpace, RobotDescription, Transform
+from mapping.observations import AgentPose, LabelSpace, PoseCorrection, RobotDescription, Transform
 from scenegraph.service import keys
 from scenegraph.service.errors import InvalidKey, UnknownKey
 from scenegraph.service.messages import MODELS
@@ -42,6 +42,9 @@ def test_an_observation_goes_to_the_key_that_names_its_robot_sensor_and_kind():
     expected = {
         "in/spot/camera/rgbd": small_image(),
         "in/spot/base/pose": AgentPose(stamp_ns=1, robot="spot", T_map_base=pose),
+        "in/spot/base/correction": PoseCorrection(
+            stamp_ns=2, robot="spot", poses=[{"stamp_ns": 1, "T_map_base": pose}]
+        ),
         "in/spot/base/transform": Transform(stamp_ns=1, robot="spot", parent="a", child="b", T_parent_child=pose),
         "in/any/any/labelspace": LabelSpace(classes={1: {"name": "wall"}}),
         "in/spot/description": RobotDescription(robot="spot", footprint=[[0, 0], [1, 0], [0, 1]]),

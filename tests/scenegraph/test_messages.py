@@ -24,9 +24,11 @@ from mapping.geometry import SE3, CameraIntrinsics
 from mapping.observations import (
     AgentPose,
     Box3d,
+    CorrectedPose,
     Detection,
     Detections,
     LabelSpace,
+    PoseCorrection,
     RgbdImage,
     RobotDescription,
     Scan,
@@ -54,6 +56,7 @@ FORMS = ("cbor", "json")
 RNG = np.random.default_rng(3)
 CAMERA = CameraIntrinsics(fx=500.0, fy=501.0, cx=3.5, cy=2.5, width=8, height=6)
 POSE = SE3.exp([1.0, 2.0, 3.0, 0.1, -0.2, 0.3])
+SHIFT = SE3(np.eye(3), [1.0, 2.0, 3.0])
 
 OBSERVATIONS = (
     RgbdImage(
@@ -92,6 +95,14 @@ OBSERVATIONS = (
         ),
     ),
     AgentPose(stamp_ns=7, robot="spot", T_map_base=POSE),
+    PoseCorrection(
+        stamp_ns=9,
+        robot="spot",
+        poses=(
+            CorrectedPose(stamp_ns=3, T_map_base=SHIFT),
+            CorrectedPose(stamp_ns=8, T_map_base=SHIFT, T_map_base_before=SHIFT.inverse()),
+        ),
+    ),
     Transform(stamp_ns=7, robot="spot", parent="odom", child="base_link", T_parent_child=POSE, static=True),
     LabelSpace(
         classes={1: {"name": "wall", "kind": "stuff", "color": (1, 2, 3)}, 9: {"name": "TV", "parent": "thing"}}

@@ -18,6 +18,7 @@ from mapping.observations import (
     Detection,
     Detections,
     LabelSpace,
+    PoseCorrection,
     RgbdImage,
     RobotDescription,
     Scan,
@@ -37,6 +38,7 @@ EVERYTHING = [
     RobotDescription(robot="r1", footprint=[[0.2, 0.1], [-0.2, 0.1], [0.0, -0.3]], reach_m=0.8),
     Transform(stamp_ns=0, robot="r1", parent="base_link", child="cam_optical", T_parent_child=POSE, static=True),
     AgentPose(stamp_ns=1, robot="r1", T_map_base=POSE, covariance=np.diag([1e-4] * 6)),
+    PoseCorrection(stamp_ns=4, robot="r1", poses=[{"stamp_ns": 1, "T_map_base": POSE, "T_map_base_before": POSE}]),
     RgbdImage(**SENSED, depth=RNG.integers(0, 5000, (6, 8)).astype(np.uint16), intrinsics=CAMERA),
     RgbdImage(
         **SENSED,
@@ -142,7 +144,7 @@ def test_a_recording_that_was_cut_off_says_so_and_keeps_what_is_whole(tmp_path, 
     path = record(tmp_path / "run")
     content = (path / name).read_bytes()
     (path / name).write_bytes(content[: int(share * len(content))])
-    with pytest.raises(DatasetError, match=r"was cut off: \d+ of 10 observations are whole") as caught:
+    with pytest.raises(DatasetError, match=r"was cut off: \d+ of 11 observations are whole") as caught:
         open_dataset(path)
     assert "partial=True" in caught.value.hint
     whole = open_dataset(path, partial=True)
