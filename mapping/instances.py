@@ -36,12 +36,18 @@ FOUNDING_PIXELS = 100
 """A mask that is no known instance founds one when it has this many pixels."""
 CONFIRMED_VIEWS = 2
 """Voxels tell of an instance that was seen in so many images; what was seen once may be a slip of the segmenter."""
+SLIP_S = 300.0
+"""What was seen no more often, and that so long ago, tells nothing of what is seen there now."""
+STRANGERS = 3
+"""Masks of other classes in a row, that long after the last of its own class: something else is in its place."""
 DOUBTS_A_VIEW = 1
 """An instance is given up when there were more than so many images for each view of it in which it was looked at and
 not seen."""
 MERGE_VIEWS = 2
 MERGE_VIEWS_OTHER_CLASS = 3
 """One mask covers two instances in so many views, net of views in which both had masks of their own: they are one."""
+APART_VIEWS = 5
+"""No more such views than these are held against two instances being one."""
 SPLIT_VIEWS = 3
 """A second mask lies on an instance in so many images: from then on what is under such masks leaves it."""
 MEAN_MEMORY = 8.0
@@ -68,6 +74,7 @@ class Instance:
     views   images in which it had a mask;  doubts  those in which it was looked at and had none
     number  by which its voxels know it; given to another when it has gone
     splits  images in which a second mask lay on it
+    own_ns  when a mask of its class was seen last;  strangers  masks of other classes since, long after
     labels  class id → votes (about: full views)
     slots   blocks in which it may have voxels
     tint    mean red, green and blue (3,), 0 … 255, of the pixels of its masks, with how many [thousands] they are worth
@@ -81,6 +88,8 @@ class Instance:
     doubts: int = 0
     number: int = 0
     splits: int = 0
+    own_ns: int = 0
+    strangers: int = 0
     labels: dict[int, float] = field(default_factory=dict)
     slots: set[int] = field(default_factory=set)
     tint: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -230,9 +239,10 @@ class InstanceMap(PackedLayer):
 
     def _compare(self, overlaps: Overlaps, ids: Array) -> list[tuple[int, int]]:
         """Note what an image tells of pairs of instances and of those without a mask; returns pairs that may be one."""
-        for pair in combinations(sorted(ids[ids > 0].tolist()), 2):
-            if pair in self._together:  # two masks in one image: two things
-                self._together[pair] -= 1
+        label_of = {i: self.instances[i].label for i in ids[ids > 0].tolist()}
+        for pair in combinations(sorted(label_of), 2):  # two masks in one image: two things
+            if pair in self._together or label_of[pair[0]] == label_of[pair[1]]:
+                self._together[pair] = max(self._together[pair] - 1, -APART_VIEWS)
         for instance_id in doubted(overlaps, ids):
             self.instances[instance_id].doubts += 1
             self._unsure.add(instance_id)
@@ -248,10 +258,18 @@ class InstanceMap(PackedLayer):
         known = self.instances.get(instance_id)
         if known is None:
             known = self._begin(Instance(instance_id, stamp_ns, stamp_ns, number=self._free_number()))
+        if known.views <= CONFIRMED_VIEWS and stamp_ns - known.last_seen_ns > SLIP_S * 1e9:
+            known.views = known.doubts = 0
+            known.first_seen_ns, known.labels = stamp_ns, {}
         known.last_seen_ns = max(known.last_seen_ns, stamp_ns)
         known.views += 1
         known.labels[label] = known.labels.get(label, 0.0) + worth
         self._classify(known)
+        if label == known.label:
+            known.own_ns, known.strangers = stamp_ns, 0
+        elif stamp_ns - known.own_ns > SLIP_S * 1e9:
+            known.strangers += 1
+            self._unsure.add(instance_id)
 
     def _remember_tints(self, pieces: Array, ids: Array, color: Array) -> None:
         """Fold the mean colours of masks into those of their instances."""
@@ -314,12 +332,15 @@ class InstanceMap(PackedLayer):
         return split
 
     def _give_up(self) -> set[int]:
-        """Take back what is more doubted than seen, or has no voxels and was never confirmed; returns the ids."""
+        """Take back what is more doubted than seen, has another thing in its place, or has no voxels and was never
+        confirmed; returns the ids."""
         unsure = [self.instances[i] for i in sorted(self._unsure) if i in self.instances]
         gone = [
             i
             for i in unsure
-            if i.doubts > DOUBTS_A_VIEW * i.views or (i.views < CONFIRMED_VIEWS and self._sizes[i.number] == 0)
+            if i.doubts > DOUBTS_A_VIEW * i.views
+            or i.strangers >= STRANGERS
+            or (i.views < CONFIRMED_VIEWS and self._sizes[i.number] == 0)
         ]
         self._unsure = {i.id for i in unsure if i.views < CONFIRMED_VIEWS}
         for instance in gone:
@@ -340,6 +361,7 @@ class InstanceMap(PackedLayer):
         a.slots |= b.slots
         a.first_seen_ns, a.last_seen_ns = min(a.first_seen_ns, b.first_seen_ns), max(a.last_seen_ns, b.last_seen_ns)
         a.views += b.views
+        a.own_ns = max(a.own_ns, b.own_ns)
         a.tint = _mixed(a.tint, b.tint)
         for label, votes in b.labels.items():
             a.labels[label] = a.labels.get(label, 0.0) + votes
@@ -350,6 +372,10 @@ class InstanceMap(PackedLayer):
         """Make two instances one, as told."""
         self._absorb(kept, lost)
         return InstanceChange(frozenset({kept}), {lost: kept})
+
+    def were_apart(self, one: int, other: int) -> bool:
+        """Whether images showed two instances with a mask each more often than both under one mask."""
+        return self._together.get((min(one, other), max(one, other)), 0) < 0
 
     def n_voxels(self, instance_id: int) -> int:
         """In how many voxels an instance has the most votes, however few."""
@@ -388,11 +414,14 @@ class InstanceMap(PackedLayer):
     def state(self) -> dict[str, Array]:
         known = list(self.instances.values())
         votes = [(i.id, label, weight) for i in known for label, weight in i.labels.items()]
-        rows = [(i.id, i.first_seen_ns, i.last_seen_ns, i.views, i.doubts, i.number, i.splits) for i in known]
+        rows = [
+            (i.id, i.first_seen_ns, i.last_seen_ns, i.views, i.doubts, i.number, i.splits, i.own_ns, i.strangers)
+            for i in known
+        ]
         return {
             **super().state(),
             "table.next_id": np.array(self._next_id),
-            "table.instances": np.array(rows, np.int64).reshape(-1, 7),
+            "table.instances": np.array(rows, np.int64).reshape(-1, 9),
             "table.tints": np.array([i.tint for i in known], np.float64).reshape(-1, 4),
             "table.votes": np.array(votes, np.float64).reshape(-1, 3),
             "table.together": np.array([(*pair, n) for pair, n in self._together.items()], np.int64).reshape(-1, 3),
@@ -402,8 +431,8 @@ class InstanceMap(PackedLayer):
     def from_state(cls, state: Mapping[str, Array]) -> Self:
         layer = super().from_state(state)
         layer._next_id = int(state["table.next_id"])
-        for id_, first, last, views, doubts, number, splits in state["table.instances"].tolist():
-            layer._begin(Instance(id_, first, last, views, doubts, number, splits))
+        for row in state["table.instances"].tolist():
+            layer._begin(Instance(*row))
         for instance, tint in zip(layer.instances.values(), state["table.tints"].tolist(), strict=True):
             instance.tint = tuple(tint)
         for id_, label, weight in state["table.votes"].tolist():

@@ -321,6 +321,24 @@ def status(map_path: Map = None, connect: Connect = None, world: WorldName = "ho
         printer.status(told)
 
 
+@app.command()
+def events(
+    since_ns: Annotated[int | None, typer.Option(help="Only what happened after this stamp, nanoseconds.")] = None,
+    map_path: Map = None,
+    connect: Connect = None,
+    world: WorldName = "home",
+    as_json: Json = False,
+) -> None:
+    """Tell what happened to things: appeared, moved, vanished, merged, split, relabelled."""
+    printer = Printer(json=as_json)
+    with _opened(map_path, connect, world) as target:
+        told = target.events(since_ns)
+    if as_json:
+        printer.document({"events": [event.model_dump(mode="json") for event in told]})
+    else:
+        printer.events(told)
+
+
 # -- judging ---------------------------------------------------------------------------------------------------------
 
 

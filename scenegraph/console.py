@@ -160,6 +160,23 @@ class Printer:
             if told.get(name):
                 self.line(f"{name}: {'; '.join(map(str, told[name]))}", "dim")
 
+    def events(self, events: Iterable[Any]) -> None:
+        """What happened to things, one a line."""
+        rows = [
+            (
+                f"{e.stamp_ns / 1e9:.2f}",
+                e.kind,
+                e.node,
+                e.label,
+                _place(e.origin),
+                _place(e.position),
+                e.other or "",
+                e.reason,
+            )
+            for e in events
+        ]
+        self.table("events", ("at [s]", "what", "node", "class", "from", "where", "other", "why"), rows)
+
     def checks(self, checks: Iterable[Any]) -> None:
         """The machine, one check a line, and what to install."""
         rows = [
@@ -256,6 +273,10 @@ def plain_place(place: Any) -> dict[str, Any]:
     reply = place if hasattr(place, "model_dump") else where_reply(place, phrase=place.phrase)
     told: dict[str, Any] = reply.model_dump(mode="json")
     return told
+
+
+def _place(position: tuple[float, float, float] | None) -> str:
+    return "" if position is None else ", ".join(f"{c:.2f}" for c in position)
 
 
 def plain_status(target: Any) -> dict[str, Any]:

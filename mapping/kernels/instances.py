@@ -23,7 +23,7 @@ Float: TypeAlias = Any
 MEAN_UNIT = 65534.0
 BACKGROUND = 65535
 """The number of what is no instance: walls, floors."""
-LEAST_EVIDENCE = 13
+LEAST_EVIDENCE = 3
 """A voxel is looked at in an image when its first instance has this much evidence [1/UNIT]."""
 
 

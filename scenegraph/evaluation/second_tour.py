@@ -76,7 +76,7 @@ def _seen_through(points: Array, rendered: Rendered, camera: CameraIntrinsics) -
     inside = (z > 0.1) & (z < LOOKED_RANGE_M) & (u > 0) & (v > 0) & (u < camera.width - 1) & (v < camera.height - 1)
     depth = np.zeros(len(points))
     depth[inside] = rendered.depth[np.rint(v[inside]).astype(int), np.rint(u[inside]).astype(int)]
-    return np.asarray(depth > z + THROUGH_M)
+    return np.asarray(inside & (depth > z + THROUGH_M))
 
 
 def take_second_tour(

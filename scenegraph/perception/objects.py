@@ -13,18 +13,23 @@ from mapping.view import DepthView
 from scenegraph.errors import InvalidStatement
 from scenegraph.graph import GraphChanges, Node, SceneGraph
 from scenegraph.perception.presence import Presence
-from scenegraph.perception.reappearance import SAME_PLACE_M, Look, Reappearance
+from scenegraph.perception.reappearance import SAME_PLACE_M, Known, Look, Reappearance
 from scenegraph.perception.shapes import Shape
 
 Array: TypeAlias = NDArray[Any]
 
 LEAST_VIEWS = 3
 LEAST_VOXELS = 6
-"""An instance becomes a node when it was seen in this many images and holds this many voxels."""
+"""An instance becomes a node when it was seen in this many images and holds this many voxels …"""
+GOOD_VIEWS = 1.5
+"""… or in one image less, if these views [full views] agree on the class and none spoke against it."""
+TWIN_SHARE = 0.7
+"""Two nodes of a class are one thing when the box of the larger, a voxel wider, holds this share of the other's."""
 MUCH_LARGER = 2.0
 """Of two nodes that are one thing the older stays, unless the other has so many times its voxels."""
-KNOWN_S = 60.0
-"""What is seen first where other things have been known for so long was brought there."""
+KNOWN_S = 300.0
+"""What is seen first where other things have been known for so long was brought there; before, it may have been hidden
+or too far away."""
 MOVED_M = 0.01
 RESIZED_M = 0.02
 GROWN_SHARE = 0.10
@@ -79,6 +84,7 @@ class Objects:
         doubted = self._look_for(instances, change, view, stamp_ns)
         for instance_id in sorted(change.touched - change.merged.keys()):
             if instance_id not in instances.instances:
+                self._split_from.pop(instance_id, None)
                 self._depart(instance_id, instances, graph, stamp_ns, changes, reshaped)
         for node_id in sorted(doubted & self._instance_of.keys()):
             instance_id = self._instance_of[node_id]
@@ -89,6 +95,9 @@ class Objects:
         for instance_id in sorted(change.touched - change.merged.keys() - taken_over):
             if instance_id in instances.instances:
                 self._refresh(instances, instance_id, graph, stamp_ns, changes, reshaped)
+        self._recognise_newcomers(instances, graph, stamp_ns, changes, reshaped)
+        for node_id in sorted(reshaped & self._instance_of.keys()):
+            self._merge_twins(node_id, instances, changes, reshaped)
         for node_id in sorted((doubted & self._instance_of.keys()) - reshaped):
             instance_id = self._instance_of[node_id]
             if instance_id not in change.touched and node_id in graph:
@@ -138,7 +147,7 @@ class Objects:
         reshaped.add(node_id)
         node = graph.node(node_id) if node_id in graph else None
         if node is not None and look is not None and node.layer == "object":
-            now = self.reappearance.where_is(node, look, self._newcomers(node.label, instances, graph))
+            now = self.reappearance.where_is(node, look, self._newcomers(node_id, instances, graph))
             if now is not None:
                 self._take_over(node, now, instances, changes, reshaped, stamp_ns)
                 return
@@ -149,18 +158,83 @@ class Objects:
         """Whether a thing was looked for in vain often enough; once is, where it is seen elsewhere meanwhile."""
         if self.presence.gone(node_id, instance.views):
             return True
-        if self.presence.doubts.get(node_id, 0.0) < 1.0 or node_id not in graph:
+        if node_id not in self.presence.suspects() or node_id not in graph:
             return False
-        newcomers = self._newcomers(self.labels[node_id], instances, graph)
+        newcomers = self._newcomers(node_id, instances, graph)
         return self.reappearance.where_is(graph.node(node_id), self._looks[node_id], newcomers) is not None
 
-    def _newcomers(self, label: str, instances: InstanceMap, graph: SceneGraph) -> list[tuple[Node, Look]]:
-        """Nodes of a class that may be something known before, as they look now."""
+    def _newcomers(self, gone: str, instances: InstanceMap, graph: SceneGraph) -> list[tuple[Node, Look, list[Known]]]:
+        """Nodes that may be a thing that has gone, as they look now, and what else each may be."""
+        label = graph.node(gone).label
+        found = [graph.node(i) for i in self.reappearance.newcomers if self.labels.get(i) == label and i in graph]
         return [
-            (graph.node(i), self._looks[i])
-            for i in self.reappearance.newcomers
-            if self.labels.get(i) == label and i in graph and self._instance_of.get(i) in instances.instances
+            (node, self._looks[node.id], [rival for rival in self._rivals(node, graph) if rival[0].id != gone])
+            for node in found
+            if self._instance_of.get(node.id) in instances.instances
         ]
+
+    def _rivals(self, node: Node, graph: SceneGraph) -> list[Known]:
+        """Things of a newcomer's class that were not seen since it came: it may be any of them."""
+        return [
+            (known, self._looks[known.id])
+            for known in graph.nodes("object", label=node.label)
+            if known.last_seen_ns < node.first_seen_ns and known.id in self._instance_of and known.id != node.id
+        ]
+
+    def _recognise_newcomers(
+        self, instances: InstanceMap, graph: SceneGraph, stamp_ns: int, changes: GraphChanges, reshaped: set[str]
+    ) -> None:
+        """Look anew at who the newcomers are of which something was learnt: how they look, or who they are not."""
+        put = {step.id: step for step in changes.steps if isinstance(step, Node)}
+        seen = {node.label for node in put.values()}
+        for node_id in [i for i in self.reappearance.newcomers if self.labels.get(i) in seen]:
+            node = put.get(node_id) or (graph.node(node_id) if node_id in graph else None)
+            if node is not None and node_id in self._instance_of:
+                self._recognise(node, instances, graph, stamp_ns, changes, reshaped)
+
+    def _recognise(
+        self, node: Node, instances: InstanceMap, graph: SceneGraph, stamp_ns: int, changes: GraphChanges,
+        reshaped: set[str],
+    ) -> None:  # fmt: skip
+        """A newcomer looks different now: is it something known that has gone, or that was just looked for in vain?"""
+        look = self._looks[node.id]
+        rivals = self._rivals(node, graph)
+        absent = self.reappearance.who_is(node, look, stamp_ns, rivals)
+        if absent is not None:
+            self._take_over(absent.node, node, instances, changes, reshaped, stamp_ns)
+            return
+        for suspect in sorted(self.presence.suspects()):
+            if self.labels.get(suspect) != node.label or suspect not in graph or suspect not in self._instance_of:
+                continue
+            others = [rival for rival in rivals if rival[0].id != suspect]
+            known = graph.node(suspect)
+            if self.reappearance.where_is(known, self._looks[suspect], [(node, look, others)]) is not None:
+                instances.release(self._instance_of[suspect])
+                self._disown(self._instance_of[suspect])
+                self._take_over(known, node, instances, changes, reshaped, stamp_ns)
+                return
+
+    def _merge_twins(self, node_id: str, instances: InstanceMap, changes: GraphChanges, reshaped: set[str]) -> None:
+        """Make a thing and others of its class one where they interpenetrate, unless images showed them side by side;
+        the one that was known first stays."""
+        shape = self.shapes[node_id]
+        for other in sorted(self.presence.near(shape.box.center)):
+            if node_id not in self._instance_of:
+                return  # it was the younger of two
+            if other == node_id or other not in self._instance_of or self.labels[other] != self.labels[node_id]:
+                continue
+            theirs = self.shapes[other]
+            small, large = (shape, theirs) if len(shape.points) <= len(theirs.points) else (theirs, shape)
+            if large.box.contains(small.points, large.voxel_size_m).mean() < TWIN_SHARE:
+                continue
+            one, two = self._instance_of[node_id], self._instance_of[other]
+            if instances.were_apart(one, two):
+                continue
+            kept, lost = min(one, two), max(one, two)
+            instances.join(kept, lost)
+            lost_id = self._node_of[lost]
+            self._bury(lost, self._node_of[kept], changes, reshaped)
+            self.presence.place(lost_id, None)
 
     def _take_over(
         self, node: Node, now: Node, instances: InstanceMap, changes: GraphChanges, reshaped: set[str], stamp_ns: int
@@ -172,7 +246,8 @@ class Objects:
         self._looks[node.id] = self._looks[now.id]
         self._drop(now.id)
         self._own(instance_id, node.id)
-        reshaped.add(now.id)
+        self.reappearance.absent.pop(node.id, None)
+        reshaped |= {node.id, now.id}
         changes.put(
             now_at(node, now, stamp_ns).replace(confidence=self._confidence(node.id, instances.instances[instance_id]))
         )
@@ -183,7 +258,7 @@ class Objects:
         reshaped: set[str],
     ) -> None:  # fmt: skip
         instance = instances.instances[instance_id]
-        if instance.views < LEAST_VIEWS:
+        if not well_seen(instance):
             return
         points, weights = instances.points(instance_id)
         shape = Shape.trimmed(points, weights, instances.voxel_size_m) if len(points) >= LEAST_VOXELS else None
@@ -229,7 +304,7 @@ class Objects:
     def _arrive(self, node: Node, look: Look, instance_id: int, graph: SceneGraph, stamp_ns: int) -> Node:
         """A new node as what it is: a thing that was known before, part of another, or something new."""
         fresh = node.layer == "object" and node.id not in graph  # and not one that had no name until now
-        known = self.reappearance.who_is(node, look, stamp_ns) if fresh else None
+        known = self.reappearance.who_is(node, look, stamp_ns, self._rivals(node, graph)) if fresh else None
         if known is not None:
             del self.reappearance.absent[known.node.id]
             node = now_at(known.node, node, stamp_ns)
@@ -325,6 +400,16 @@ class Objects:
             again += 1
             name = f"{prefix}_{instance_id}_{again}"
         return name
+
+
+def well_seen(instance: Instance) -> bool:
+    """Whether an instance was seen often enough to be believed: fewer views will do where all are good and agree."""
+    if instance.views >= LEAST_VIEWS:
+        return True
+    full = sum(instance.labels.values())
+    return (
+        instance.views == LEAST_VIEWS - 1 and instance.doubts == 0 and len(instance.labels) == 1 and full >= GOOD_VIEWS
+    )
 
 
 def now_at(known: Node, now: Node, stamp_ns: int) -> Node:

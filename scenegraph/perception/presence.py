@@ -24,7 +24,7 @@ Array: TypeAlias = NDArray[Any]
 CONTRARY_LOOKS = 3.0
 """A thing has gone after so many contrary looks without one that saw it; one that was hardly seen before, after half as
 many looks as there were views of it."""
-FULL_LOOK_PIXELS = 400.0
+FULL_LOOK_PIXELS = 250.0
 """A look at a thing of which fewer pixels would show counts less, …"""
 APART_S = 0.25
 """Looks follow each other at least so long after, or they are one."""
@@ -40,7 +40,7 @@ MARGIN_M = 0.05
 MARGIN_SHARE = 0.015
 AROUND_RAD = 0.02
 """A point is seen through when the image sees so much farther, at its pixel and beside it: depth and pose err."""
-LEAST_PIXELS = 150.0
+LEAST_PIXELS = 60.0
 """… and if these are fewer than so many, nothing: masks and poses may be off by as much."""
 CELL_M = 1.0
 
@@ -108,6 +108,10 @@ class Presence:
     def gone(self, node_id: str, views: int) -> bool:
         """Whether a thing that was seen in so many images was looked for in vain often enough."""
         return self.doubts.get(node_id, 0.0) >= min(CONTRARY_LOOKS, max(1.5, 0.5 * views)) - 1e-9
+
+    def suspects(self) -> set[str]:
+        """The things that at least one good look did not find where they were."""
+        return {node_id for node_id, doubt in self.doubts.items() if doubt >= 1.0}
 
     def faith(self, node_id: str) -> float:
         """By what the confidence in a thing is multiplied, 0 … 1: less with each contrary look."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scenegraph.graph import Node
 
 Array: TypeAlias = NDArray[Any]
+Known: TypeAlias = "tuple[Node, Look]"
 
 WINDOW_S = 7 * 86_400.0
 """How long what has gone may come back as itself."""
@@ -85,26 +86,32 @@ class Reappearance:
         while stamp_ns - self.newcomers[oldest := next(iter(self.newcomers))] > WINDOW_S * 1e9:
             del self.newcomers[oldest]
 
-    def who_is(self, node: Node, look: Look, stamp_ns: int) -> Absent | None:
-        """The thing that a new node is, if it was known before."""
+    def who_is(self, node: Node, look: Look, stamp_ns: int, rivals: Iterable[Known] = ()) -> Absent | None:
+        """The thing that a new node is, if it was known before and has gone.
+
+        rivals : things that are thought to be where they were, but were not seen lately; when it is rather one of them,
+                 time will tell
+        """
         likely = [
-            (look.misfit(one.look) + _way(node, one.node), one.node.id, one)
+            (_unlike(one.node, one.look, node, look), one.node.id, one)
             for one in self.absent.values()
             if one.node.label == node.label
             and one.node.last_seen_ns < node.first_seen_ns
             and stamp_ns - one.left_ns <= WINDOW_S * 1e9
         ]
         best = min(likely, default=None, key=lambda entry: entry[:2])
-        return best[2] if best is not None and best[0] <= MOST_MISFIT else None
+        if best is None or best[0] > MOST_MISFIT or best[0] > _least(rivals, node, look):
+            return None
+        return best[2]
 
-    def where_is(self, gone: Node, look: Look, nodes: Iterable[tuple[Node, Look]]) -> Node | None:
-        """Of `nodes`, newcomers as they look now, the one that a thing that has just gone is now."""
+    def where_is(self, gone: Node, look: Look, nodes: Iterable[tuple[Node, Look, Iterable[Known]]]) -> Node | None:
+        """Of `nodes`, newcomers as they look now, each with its rivals, the one that a thing that has gone is now."""
         likely = [
-            (look.misfit(theirs) + _way(gone, node), node.id, node)
-            for node, theirs in nodes
+            (_unlike(gone, look, node, theirs), node.id, node, _least(rivals, node, theirs))
+            for node, theirs, rivals in nodes
             if node.label == gone.label and gone.last_seen_ns < node.first_seen_ns
         ]
-        best = min(likely, default=None, key=lambda entry: entry[:2])
+        best = min((entry for entry in likely if entry[0] <= entry[3]), default=None, key=lambda entry: entry[:2])
         return best[2] if best is not None and best[0] <= MOST_MISFIT else None
 
     # -- state --------------------------------------------------------------------------------------------
@@ -125,6 +132,10 @@ class Reappearance:
         self.newcomers = dict(document["newcomers"])
 
 
-def _way(a: Node, b: Node) -> float:
-    """The nearer, the likelier, but by little: 0 … 0.5."""
-    return min(0.5, 0.05 * float(np.linalg.norm(a.position - b.position)))
+def _unlike(a: Node, a_look: Look, b: Node, b_look: Look) -> float:
+    """How little one thing may be another: by its looks, and a little by the way between them."""
+    return a_look.misfit(b_look) + min(0.5, 0.1 * float(np.linalg.norm(a.position - b.position)))
+
+
+def _least(rivals: Iterable[Known], node: Node, look: Look) -> float:
+    return min((_unlike(known, theirs, node, look) for known, theirs in rivals), default=np.inf)

@@ -20,6 +20,7 @@ from pydantic import BaseModel, ValidationError
 from mapping.observations import Observation
 from reasoning.knowledge import Explanation
 from scenegraph.errors import Problem, SceneGraphError, nearest, one_line
+from scenegraph.events import Event
 from scenegraph.graph import Delta, Mirror, Node, SceneGraph, Snapshot
 from scenegraph.service import keys
 from scenegraph.service.arrays import LIMITS
@@ -36,6 +37,8 @@ from scenegraph.service.messages import (
     AskReply,
     AskRequest,
     Binding,
+    EventsReply,
+    EventsRequest,
     MapQuery,
     MapValues,
     NodeBinding,
@@ -234,6 +237,10 @@ class Client:
         """A layer's value at points (N, 3) [m] in map; what is unknown is marked in `.known`."""
         request = MapQuery(points=np.asarray(p_map, dtype=np.float64), gradient=gradient)
         return self._call(f"map/{keys.chunk(layer, 'layer')}/query", request, MapValues, self._timeout_s, form="cbor")
+
+    def events(self, since_ns: int | None = None) -> list[Event]:
+        """What happened to things after `since_ns`, oldest first; None: all that the server remembers."""
+        return list(self._call("events", EventsRequest(since_ns=since_ns), EventsReply, self._timeout_s).events)
 
     def status(self) -> Status:
         """Health of the server and of its world."""

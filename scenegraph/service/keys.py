@@ -253,6 +253,7 @@ TABLE: tuple[KeyRow, ...] = (
     KeyRow("ask", "queryable", "AskRequest", "AskReply", _REQUEST),
     KeyRow("where", "queryable", "WhereRequest", "WhereReply", _REQUEST),
     KeyRow("tell", "queryable", "TellRequest", "TellReply", _REQUEST),
+    KeyRow("events", "queryable", "EventsRequest", "EventsReply", _REQUEST),
     KeyRow("map/{layer}", "queryable", "", "", _BULK),
     KeyRow("map/{layer}/query", "queryable", "MapQuery", "MapValues", _REQUEST),
     KeyRow("status", "queryable", "", "Status", _STATUS),

@@ -18,6 +18,7 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue, models_jso
 from mapping.geometry import SE3
 from mapping.observations import OBSERVATIONS, Name, Observation, Pose, Stamp
 from scenegraph.errors import InvalidGraphValue, Problem, one_line
+from scenegraph.events import Event
 from scenegraph.graph import Delta, Edge, Node, Snapshot
 from scenegraph.graph.values import Value
 from scenegraph.service import keys
@@ -31,6 +32,8 @@ __all__ = [
     "AskRequest",
     "Binding",
     "Counts",
+    "EventsReply",
+    "EventsRequest",
     "GoalPose",
     "MapQuery",
     "MapValues",
@@ -196,6 +199,18 @@ class TellRequest(Message):
     reason: ShortText = ""
 
 
+class EventsRequest(Message):
+    """What happened to things after `since_ns`, or all that is remembered."""
+
+    since_ns: Annotated[int, Field(ge=-(2**63), lt=2**63)] | None = None
+
+
+class EventsReply(Message):
+    """Events, oldest first."""
+
+    events: tuple[Event, ...]
+
+
 class TellReply(Message):
     """Whether the statement holds from now on, and the graph's revision with it."""
 
@@ -300,6 +315,8 @@ _OWN: tuple[type[BaseModel], ...] = (
     WhereReply,
     TellRequest,
     TellReply,
+    EventsRequest,
+    EventsReply,
     ObservationReply,
     MapQuery,
     MapValues,

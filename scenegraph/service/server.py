@@ -19,6 +19,7 @@ from typing import Any, Protocol, Self
 import zenoh
 from pydantic import BaseModel
 
+from scenegraph.events import Event
 from scenegraph.graph import Delta, SceneGraph
 from scenegraph.service import exports, keys, replies
 from scenegraph.service.arrays import LIMITS, Limits
@@ -28,6 +29,8 @@ from scenegraph.service.health import Causes, RequestTimes
 from scenegraph.service.intake import Bounds, Intake, Job, Tally
 from scenegraph.service.messages import (
     AskRequest,
+    EventsReply,
+    EventsRequest,
     MapQuery,
     ObservationReply,
     Problems,
@@ -60,6 +63,7 @@ class ServedWorld(Protocol):
     def ask(self, goal: str, /, *, robot: str | None, limit: int, timeout_s: float, at_ns: int | None) -> Any: ...
     def where(self, phrase: str, /, *, robot: str | None) -> Any: ...
     def tell(self, statement: str, /, *, author: str, reason: str) -> Any: ...
+    def events(self, since_ns: int | None, /) -> list[Event]: ...
     def status(self) -> dict[str, Any]: ...
 
 
@@ -208,6 +212,8 @@ class Server:
                 self._by_world(query, path, "WhereRequest", self._where)
             case ["tell"]:
                 self._by_world(query, path, "TellRequest", self._tell)
+            case ["events"]:
+                self._by_world(query, path, "EventsRequest", self._events)
             case ["map", layer, "query"] if layer in keys.MAP_LAYERS:
                 self._by_world(query, path, "MapQuery", lambda request: self._map_values(layer, request))
             case ["map", layer] if layer in keys.MAP_LAYERS:
@@ -371,6 +377,9 @@ class Server:
         finally:
             self._publish_changes(None)
         return replies.tell_reply(result)
+
+    def _events(self, request: EventsRequest) -> BaseModel:
+        return EventsReply(events=tuple(self._world.events(request.since_ns)))
 
     def _map_values(self, name: str, request: MapQuery) -> BaseModel:
         return replies.map_values(name, replies.map_layer(self._world, name), request, self._world.map)

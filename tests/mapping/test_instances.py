@@ -299,3 +299,53 @@ def test_a_voxel_is_of_the_class_of_the_thing_that_it_lies_on() -> None:
     centres, of_voxels, _ = classes.voxels()
     assert np.array_equal(of_voxels, classes.query(centres)[0])
     assert classes.query(np.array([[3.0, 3.0, 3.0]]))[0][0] == 0
+
+
+MINUTE_NS = 60 * 10**9
+
+
+def test_what_was_hardly_seen_long_ago_tells_nothing_of_what_is_seen_now() -> None:
+    world = Watching(box("crate", 0.0, 0.0, 1))
+    world.look((1.4, 0.0, 1.0))
+    world.now += 10 * MINUTE_NS
+    world.look((1.4, 0.2, 1.0))
+    (crate,) = world.map.instances.values()
+    assert (crate.views, crate.first_seen_ns) == (1, world.now)
+
+
+def test_another_thing_in_the_same_place_is_another_instance() -> None:
+    world = Watching(box("crate", 0.0, 0.0, 1), box("bin", 2.0, 0.0, 2))
+    world.around()
+    old = world.at(0.0, 0.0, 0.289)
+    world.look((1.4, 0.0, 1.0), rename={1: "bin"})
+    assert world.at(0.0, 0.0, 0.289) == old, "one slip of the segmenter is none"
+    world.now += 10 * MINUTE_NS
+    world.around(rename={1: "bin"})
+    new = world.at(0.0, 0.0, 0.289)
+    assert new not in (0, old)
+    assert old not in world.map.instances
+    assert world.map.instances[new].label == world.scene.id_of("bin")
+
+
+def test_two_of_a_class_that_were_seen_side_by_side_are_known_to_be_two() -> None:
+    world = Watching(box("crate", -0.4, 0.0, 1), box("crate", 0.4, 0.0, 2))
+    world.around(3)
+    one, other = world.ids
+    assert world.map.were_apart(one, other)
+    assert world.map.were_apart(other, one)
+    assert not world.map.were_apart(one, 99)
+
+
+def test_instances_remember_the_colour_of_their_masks() -> None:
+    world = Watching(box("crate", 0.0, 0.0, 1))
+    color = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
+    color[:] = (200, 100, 50)
+    for eye in ((1.4, 0.0, 1.0), (0.0, 1.4, 1.0)):
+        image = world.scene.image(looking_at(eye, (0.0, 0.0, 0.1)), 1)
+        seen = segment(image, image.depth_m, world.things)
+        pose = image.T_map_camera or SE3.identity()
+        world.map.integrate_image(seen, image.depth_m, CAMERA, pose, 1, color=color)
+    tint = world.map.instances[1].tint
+    assert tint[:3] == pytest.approx((200, 100, 50))
+    again = InstanceMap.from_state(world.map.state())
+    assert again.instances[1].tint == pytest.approx(tint)

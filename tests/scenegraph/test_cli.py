@@ -20,6 +20,7 @@ from scenegraph import simulation
 from scenegraph.cli import app
 from scenegraph.errors import Problem, StoreForeign
 from scenegraph.evaluation import Evaluation
+from scenegraph.events import Event
 from scenegraph.graph import Node, SceneGraph
 from scenegraph.simulation import NoiseModel
 
@@ -117,6 +118,10 @@ class World:
 
     def save(self, path):
         path.write_text("a world")
+
+    def events(self, since_ns=None):
+        appeared = {"kind": "appeared", "node": "object_12", "layer": "object", "label": "oven", "revision": 1}
+        return [Event(**appeared, stamp_ns=5, position=(1.0, 2.0, 0.5))] if since_ns is None or since_ns < 5 else []
 
     def integrate(self, observation):
         if self.refuse:
@@ -356,6 +361,13 @@ def test_a_file_that_is_no_world_is_refused(world, tmp_path):
     result = run("status", "--map", tmp_path / "nothing")
     assert result.exit_code == 2
     assert "not a stored world (replay --save writes one)" in result.stderr
+
+
+def test_events_are_told_of_a_stored_world(world, saved):
+    told = document(run("events", "--map", saved, "--json"))["events"]
+    assert told == [event.model_dump(mode="json") for event in world().events()]
+    assert document(run("events", "--map", saved, "--since-ns", 10**18, "--json")) == {"events": []}
+    assert "appeared" in run("events", "--map", saved).stdout
 
 
 def test_status_shows_layers_and_nodes(world, saved):

@@ -23,6 +23,7 @@ class Seen:
         self.instances: dict[int, Instance] = {}
         self.surface: dict[int, np.ndarray] = {}
         self.forgotten: list[int] = []
+        self.apart = False
 
     def put(
         self, number: int, label: str, points: np.ndarray, views: int = 5, now: int = 10, wrong: float = 0.0
@@ -38,6 +39,9 @@ class Seen:
     def forget(self, number: int) -> None:
         self.forgotten.append(number)
         del self.instances[number], self.surface[number]
+
+    def were_apart(self, one: int, other: int) -> bool:
+        return self.apart
 
     def join(self, kept: int, lost: int) -> InstanceChange:
         self.surface[kept] = np.concatenate([self.surface[kept], self.surface.pop(lost)])
@@ -267,3 +271,21 @@ def test_what_has_gone_is_remembered_over_a_restart(world: Watching) -> None:
     world.seen.put(2, "table", CUBE + ELSEWHERE, now=20)
     world.update(2)
     assert [n.id for n in world.graph.nodes("object")] == ["object_1"]
+
+
+def test_two_nodes_of_a_class_that_interpenetrate_become_one(world: Watching) -> None:
+    world.seen.put(2, "table", CUBE + 0.02, now=20)
+    world.update(2)
+    assert [n.id for n in world.graph.nodes("object")] == ["object_1"]
+    assert world.graph.tombstone("object_2") is None, "nobody ever heard of it"
+    assert list(world.seen.instances) == [1]
+
+
+@pytest.mark.parametrize(
+    ("label", "way", "apart"), [("cup", 0.02, False), ("table", 0.3, False), ("table", 0.02, True)]
+)
+def test_others_stay_two(world: Watching, label: str, way: float, apart: bool) -> None:
+    world.seen.apart = apart
+    world.seen.put(2, label, CUBE + way, now=20)
+    world.update(2)
+    assert {n.id for n in world.graph.nodes("object")} == {"object_1", "object_2"}

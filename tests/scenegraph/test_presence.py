@@ -105,7 +105,7 @@ def test_two_images_at_once_are_one_look(watch):
 
 def test_a_thing_that_would_show_in_few_pixels_is_not_missed(watch):
     far = looking_at((4.9, 0.0, 0.2), (0.0, 0.0, 0.15))
-    watch.presence.place("object_7", Shape(CUBE.points[:40] * np.float32(0.1), VOXEL))
+    watch.presence.place("object_7", Shape(CUBE.points[:12] * np.float32(0.1), VOXEL))
     assert watch.look(5.9, far) == set()
 
 

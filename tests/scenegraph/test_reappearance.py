@@ -78,15 +78,26 @@ def test_after_the_window_nothing_comes_back(known):
 def test_a_thing_that_goes_is_the_newcomer_that_looks_like_it(known):
     gone = node("object_2")
     newcomers = [
-        (node("object_7", first=15), Look(CUP, BLUE)),
-        (node("object_8", at=2.0, first=15), Look(CUP, RED)),
-        (node("object_9", at=1.0, first=5), Look(CUP, RED)),
+        (node("object_7", first=15), Look(CUP, BLUE), []),
+        (node("object_8", at=2.0, first=15), Look(CUP, RED), []),
+        (node("object_9", at=1.0, first=5), Look(CUP, RED), []),
     ]
     now = known.where_is(gone, Look(CUP, RED), newcomers)
     assert now is not None
     assert now.id == "object_8"
     assert known.where_is(gone, Look(BIG, RED), newcomers) is None
     assert known.where_is(gone, Look(CUP, RED), []) is None
+
+
+def test_while_it_may_rather_be_another_that_nobody_looked_for_time_has_to_tell(known):
+    new, look = node("object_9", at=3.0, first=15), Look(CUP, RED)
+    nearer = (node("object_3", at=2.5), Look(CUP, RED))
+    unlike = (node("object_4", at=2.5), Look(BIG, BLUE))
+    assert known.who_is(new, look, 30, [nearer]) is None
+    assert known.who_is(new, look, 30, [unlike]) is not None
+    gone = node("object_2")
+    assert known.where_is(gone, Look(CUP, RED), [(new, look, [nearer])]) is None
+    assert known.where_is(gone, Look(CUP, RED), [(new, look, [unlike])]) is new
 
 
 @given(*[st.lists(st.floats(0.02, 2.0), min_size=3, max_size=3)] * 2)

@@ -13,6 +13,7 @@ import numpy as np
 from mapping.geometry import SE3
 from mapping.observations import AgentPose, RgbdImage
 from scenegraph.errors import InvalidStatement, Problem
+from scenegraph.events import Event
 from scenegraph.graph import Delta, Edge, GraphChanges, Node, SceneGraph
 
 
@@ -89,6 +90,13 @@ class FakeWorld:
         changes.put(table.replace(attributes={"name": statement, "author": author, "reason": reason}))
         delta = self.graph.commit(changes, 2)
         return SimpleNamespace(accepted=True, revision=delta.revision, problem=None)
+
+    def events(self, since_ns: int | None = None) -> list[Event]:
+        return [
+            Event(kind="appeared", node=n.id, layer="object", label=n.label, stamp_ns=1, revision=1, position=(0, 0, 0))
+            for n in self.graph.nodes()
+            if since_ns is None or since_ns < 1
+        ]
 
     def status(self) -> dict[str, Any]:
         return {"nodes": len(self.graph), "observations": len(self.integrated)}

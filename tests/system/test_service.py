@@ -195,6 +195,12 @@ def test_the_graph_is_had_in_every_format(client, world):
 # -- load ----------------------------------------------------------------------------------------------------
 
 
+def test_events_are_asked_for_as_they_are_in_process(client, world):
+    assert client.events() == world.events()
+    assert client.events(since_ns=0) == world.events(0)
+    assert client.events(since_ns=1) == []
+
+
 def test_the_newest_images_win_and_each_is_counted(server, client, world):
     world.slow_s = 0.05
     for n in range(30):
