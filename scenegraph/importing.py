@@ -10,7 +10,6 @@ from reasoning.knowledge import KnowledgeBase
 from reasoning.terms import Atom
 from scenegraph import facts
 from scenegraph.answers import Answers
-from scenegraph.errors import StoreForeign
 from scenegraph.graph import SceneGraph
 from scenegraph.interop import read_graph
 
@@ -68,10 +67,15 @@ class GraphFile:
 
 
 def open_map(path: Path) -> World | GraphFile:
-    """A stored world, or a graph of another format. Raises StoreError, GraphUnreadable."""
+    """A stored world, or a graph of another format, which is text. Raises StoreError, GraphUnreadable."""
     from scenegraph.world import World
 
+    return GraphFile.load(path) if _is_text(path) else World.load(path)
+
+
+def _is_text(path: Path) -> bool:
     try:
-        return World.load(path)
-    except StoreForeign:
-        return GraphFile.load(path)
+        with path.open("rb") as file:
+            return file.read(1024).lstrip()[:1] in (b"{", b"[", b"<")
+    except OSError:
+        return False

@@ -12,7 +12,7 @@ import pytest
 
 from mapping.mesh import Mesh
 from scenegraph.cli import app
-from scenegraph.errors import ExportError
+from scenegraph.errors import ExportError, StoreError, StoreForeign
 from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph, Snapshot
 from scenegraph.importing import GraphFile, open_map
 from scenegraph.interop import (
@@ -268,3 +268,11 @@ def test_a_graph_from_a_file_can_be_converted_by_command(tmp_path: Path, capsys:
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["answers"][0]["X"]["node"] == "object_3"
     assert app(["export", "--format", "ply", "--map", str(out), "--output", str(out)], standalone_mode=False) == 2
     assert "has none" in capsys.readouterr().err
+
+
+def test_what_is_no_world_is_told_as_before(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="cannot be opened"):
+        open_map(tmp_path / "none.world")
+    (tmp_path / "some.world").write_bytes(b"\x00\x01" * 50)
+    with pytest.raises(StoreForeign, match="not a stored world"):
+        open_map(tmp_path / "some.world")
