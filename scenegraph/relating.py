@@ -6,7 +6,7 @@ are done here on whole columns, with the same values, thresholds and confidences
 
 A box is solid: what is under a table is under it only if it lies below the box of its top. Only what the taxonomy calls
 a container has an inside. Structure (walls, floors, ceilings, stairs) stands between things and carries them; where the
-way between two things is not clear of it, they are not known to be near.
+way between two things is not clear of its inner half, they are not known to be near.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from mapping.kernels import boxes as kernels
 from reasoning.knowledge import KnowledgeBase
 from reasoning.terms import Atom, Compound
 from scenegraph.facts import class_atom
-from scenegraph.graph import LAYERS, EdgeTable, GraphChanges, Layer, Node, NodeTable, SceneGraph
+from scenegraph.graph import LAYERS, EdgeKey, EdgeTable, GraphChanges, Layer, Node, NodeTable, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 
 __all__ = ["RELATIONS", "Measured", "Thresholds", "follow", "measure", "relate"]
@@ -30,7 +30,9 @@ __all__ = ["RELATIONS", "Measured", "Thresholds", "follow", "measure", "relate"]
 Array = NDArray[Any]
 
 RELATIONS = ("on", "supports", "in", "contains", "above", "under", "near", "touching")
-_INVERSES = frozenset({"supports", "contains", "under"})
+_INVERSE = {"on": "supports", "in": "contains", "above": "under", "near": "near", "touching": "touching"}
+_INVERSE |= {inverse: relation for relation, inverse in _INVERSE.items()}
+_TURNED = frozenset({"supports", "contains", "under"})
 SOLID = frozenset({"wall", "floor", "ceiling", "stairs"})
 """Labels of structure that carries things and stands between them."""
 OVER_REACH_M = 4.0
@@ -148,8 +150,11 @@ class _Boxes:
         return len(self.rows)
 
 
-def measure(table: NodeTable, thresholds: Thresholds) -> Measured:
-    """Measure what lies near each other; a pair that is too far apart to matter is not measured."""
+def measure(table: NodeTable, thresholds: Thresholds, focus: Array | None = None) -> Measured:
+    """Measure what lies near each other; a pair that is too far apart to matter is not measured.
+
+    focus : (n,) bool, the only nodes whose pairs, and on what they stand, are measured in full; all when left out
+    """
     is_solid = np.array([label in SOLID for label in table.labels], np.bool_)[table.label]
     things = np.flatnonzero(table.layer == _OBJECT)
     solids = np.flatnonzero((table.layer == _STRUCTURE) & is_solid & table.boxed)
@@ -160,13 +165,19 @@ def measure(table: NodeTable, thresholds: Thresholds) -> Measured:
     rank = np.empty(len(table), np.int64)
     rank[sorted(range(len(table)), key=table.ids.__getitem__)] = np.arange(len(table))
 
-    grow = np.clip(0.5 * side[:n], 0.5 * thresholds.near_least, thresholds.near_most)[:, None]
-    reach_low, reach_high = low[:n] - grow, high[:n] + grow
+    grow = np.clip(0.5 * side[:n], 0.5 * max(thresholds.near_least, tolerance), max(thresholds.near_most, tolerance))
+    reach_low, reach_high = low[:n] - grow[:, None], high[:n] + grow[:, None]
     reach_low[:, 2] = np.minimum(reach_low[:, 2], low[:n, 2] - OVER_REACH_M)
     cell = np.array(_CELL_M)
-    pairs = kernels.meeting(
-        reach_low, reach_high, reach_low, reach_high, cell, *kernels.fill_grid(reach_low, reach_high, cell), True
-    )
+    grid = kernels.fill_grid(reach_low, reach_high, cell)
+    if focus is None:
+        pairs = kernels.meeting(reach_low, reach_high, reach_low, reach_high, cell, *grid, True)
+    else:
+        some = np.flatnonzero(focus[things])
+        pairs = kernels.meeting(reach_low[some], reach_high[some], reach_low, reach_high, cell, *grid, False)
+        one, two = some[pairs[:, 0]], pairs[:, 1]
+        once = (one != two) & ((one < two) | ~focus[things[two]])
+        pairs = np.stack([one[once], two[once]], axis=1).astype(np.int32)
     solid_grid = kernels.fill_grid(low[n:], high[n:], cell)
     gap, clear, overlap, between = kernels.measure_pairs(
         pairs,
@@ -178,9 +189,9 @@ def measure(table: NodeTable, thresholds: Thresholds) -> Measured:
         all_boxes.corners,
         all_boxes.count,
         all_boxes.area,
-        thresholds.near_most,
+        grow,
         INSET_M,
-        (all_boxes.center[n:], all_boxes.half[n:], all_boxes.axes[n:]),
+        (all_boxes.center[n:], _cores(all_boxes.half[n:]), all_boxes.axes[n:]),
         (cell, *solid_grid),
     )
     counts = np.isfinite(gap) | (overlap > 0.0)
@@ -218,6 +229,14 @@ def measure(table: NodeTable, thresholds: Thresholds) -> Measured:
         rooms=np.stack([all_boxes.rows[rooms[:, 0]], rooms[:, 1]], axis=1),
         footprint_share=np.round(share, DIGITS),
     )
+
+
+def _cores(half: Array) -> Array:
+    """Half sizes (n, 3) of the inner halves of walls and floors: what reaches a little into one is not behind it."""
+    cores = half.copy()
+    rows = np.arange(len(half))
+    cores[rows, half.argmin(axis=1)] *= 0.5
+    return cores
 
 
 def _over_each_other(boxes: _Boxes, pairs: Array) -> Array:
@@ -509,9 +528,9 @@ def follow(graph: SceneGraph, changes: GraphChanges, thresholds: Thresholds) -> 
     if not moved and not gone:
         return
     around = _Around(graph, moved, gone, thresholds)
-    stale = {edge.key for node_id in around.unsettled if node_id in graph for edge in graph.edges_of(node_id)}
-    stale = {key for key in stale if around.settles(*key)}
-    local = relate(NodeTable.of(around.nodes), thresholds)
+    stale = around.settled_edges()
+    table = NodeTable.of(around.nodes)
+    local = decide(measure(table, thresholds, np.array([i in around.focus for i in table.ids], np.bool_)), thresholds)
     for edge in local.rows(around.settled(local)):
         stale.discard(edge.key)
         known = graph.edge(*edge.key)
@@ -539,6 +558,7 @@ class _Around:
 
     changed   : objects all of whose relations are judged: those that moved, and all that are near changed structure
     unsettled : these, and objects of which it is judged on what they stand and in which room they are
+    focus     : these, and what carries them
     nodes     : all that is needed to judge these, as they are after the change
     """
 
@@ -557,29 +577,39 @@ class _Around:
             self.unsettled |= self._ids(low - margin, high + margin, "object")
         self.unsettled |= self._joined("supports", self.unsettled)
         carriers = self._joined("on", self.unsettled)
-        near = asked | self.unsettled | carriers
-        for low, high in self._places(self.unsettled | carriers):
+        self.focus = self.unsettled | carriers
+        near = asked | self.focus
+        for low, high in self._places(self.focus):
             near |= self._ids(low - margin, high + margin)
         for low, high in places:
             near |= self._ids(low - reach, high + reach) | self._ids(low - column, high + column)
-        things = [node for i in near for node in self._states(i) if node.layer == "object"]
+        self.nodes = [states[-1] for i in sorted(near - gone) if (states := self._states(i))]
+        things = [node for node in self.nodes if node.layer == "object"]
         if things:
             middle = np.array([node.position if node.box is None else node.box.center for node in things])
-            far = np.array([0.0 if node.box is None else np.max(node.box.size) for node in things])[:, None]
-            near |= self._ids((middle - far).min(axis=0), (middle + far).max(axis=0), "room")
-        states = (self._states(i) for i in sorted(near - gone))
-        self.nodes = [node[-1] for node in states if node and node[-1].layer in ("object", "structure", "room")]
+            far = np.array([0.0 if node.box is None else max(node.box.size.tolist()) for node in things])[:, None]
+            rooms = self._ids((middle - far).min(axis=0), (middle + far).max(axis=0), "room") - near - gone
+            self.nodes += [self._states(i)[-1] for i in sorted(rooms)]
+        self.nodes = [node for node in self.nodes if node.layer in ("object", "structure", "room")]
 
-    def settles(self, relation: str, source: str, target: str) -> bool:
-        """Whether what is known here says if an edge of the graph still holds."""
-        if relation not in RELATIONS:
-            return False
-        upper, lower = (target, source) if relation in _INVERSES else (source, target)
-        if relation in ("in", "contains") and self._layer(lower) != "object":
-            return self._layer(lower) == "room" and upper in self.unsettled
-        return (
-            (upper in self.unsettled) if relation in ("on", "supports") else not self.changed.isdisjoint((upper, lower))
-        )
+    def settled_edges(self) -> set[EdgeKey]:
+        """The edges of the graph of which what is known here says whether they still hold."""
+        keys: set[EdgeKey] = set()
+        for node_id in self.unsettled:
+            if node_id not in self._graph:
+                continue
+            if node_id in self.changed:
+                keys.update(edge.key for edge in self._graph.edges_of(node_id) if edge.relation in RELATIONS)
+            else:
+                keys.update(edge.key for edge in self._graph.edges("on", source=node_id))
+                inside = (edge.key for edge in self._graph.edges("in", source=node_id))
+                keys.update(key for key in inside if self._layer(key.target) == "room")
+        keys |= {EdgeKey(_INVERSE[relation], target, source) for relation, source, target in keys}
+        return {key for key in keys if key.relation not in ("in", "contains") or self._holds_things(key)}
+
+    def _holds_things(self, key: EdgeKey) -> bool:
+        """Whether what contains is a thing or a room: that a room is in a storey is no measurement."""
+        return self._layer(key.target if key.relation == "in" else key.source) in ("object", "room")
 
     def settled(self, edges: EdgeTable) -> Array:
         """The rows of the edges between `nodes` that are settled here."""
@@ -587,7 +617,7 @@ class _Around:
             np.array([i in ids for i in edges.ids], np.bool_) for ids in (self.changed, self.unsettled)
         )
         is_room = np.array([node.layer == "room" for node in self.nodes], np.bool_)
-        turned = np.array([name in _INVERSES for name in edges.relations], np.bool_)[edges.relation]
+        turned = np.array([name in _TURNED for name in edges.relations], np.bool_)[edges.relation]
         upper, lower = np.where(turned, edges.target, edges.source), np.where(turned, edges.source, edges.target)
         stands = np.array([name in ("on", "supports") for name in edges.relations], np.bool_)[edges.relation]
         return np.flatnonzero(np.where(stands | is_room[lower], unsettled[upper], changed[upper] | changed[lower]))

@@ -19,6 +19,8 @@ Int = Any
 
 UPRIGHT = 1e-6
 """A box whose z axis leans from the map's by less than this is taken to stand upright."""
+TIE = 1e-12
+"""Squared distances this close are taken to be the same [m²]."""
 CELL_LIMIT = (1 << 20) - 1
 MOST_CELLS = 4096
 """What covers more cells of a grid than this is compared with everything instead."""
@@ -154,25 +156,18 @@ def crosses(center: Array, half: Array, axes: Array, p: Array, q: Array) -> bool
 @njit(cache=True)
 def _nearest_on_segments(a: Array, b: Array, c: Array, d: Array, p: Array, q: Array) -> float:
     """Squared distance of segments ab and cd; the nearest points are written to p and q (Ericson, *Real-Time Collision
-    Detection*, 5.1.9)."""
+    Detection*, 5.1.9). inf where they are parallel: then one of their ends is as near."""
     u, v, w = b - a, d - c, a - c
     uu, vv, uv, uw, vw = (u * u).sum(), (v * v).sum(), (u * v).sum(), (u * w).sum(), (v * w).sum()
-    s = t = 0.0
-    if uu <= 1e-18 and vv <= 1e-18:
-        pass
-    elif uu <= 1e-18:
-        t = min(1.0, max(0.0, vw / vv))
-    elif vv <= 1e-18:
-        s = min(1.0, max(0.0, -uw / uu))
-    else:
-        across = uu * vv - uv * uv
-        if across > 1e-12 * uu * vv:
-            s = min(1.0, max(0.0, (uv * vw - uw * vv) / across))
-        t = (uv * s + vw) / vv
-        if t < 0.0:
-            t, s = 0.0, min(1.0, max(0.0, -uw / uu))
-        elif t > 1.0:
-            t, s = 1.0, min(1.0, max(0.0, (uv - uw) / uu))
+    across = uu * vv - uv * uv
+    if across <= 1e-9 * uu * vv:
+        return np.inf
+    s = min(1.0, max(0.0, (uv * vw - uw * vv) / across))
+    t = (uv * s + vw) / vv
+    if t < 0.0:
+        t, s = 0.0, min(1.0, max(0.0, -uw / uu))
+    elif t > 1.0:
+        t, s = 1.0, min(1.0, max(0.0, (uv - uw) / uu))
     p[:] = a + s * u
     q[:] = c + t * v
     return float(((p - q) ** 2).sum())
@@ -208,7 +203,7 @@ def _overlap(ca: Array, ha: Array, ra: Array, cb: Array, hb: Array, rb: Array) -
 @njit(cache=True)
 def _upright_gap(ca: Array, ha: Array, ra: Array, cb: Array, hb: Array, rb: Array, p: Array, q: Array) -> float:
     """`gap_between` of two upright boxes: their distance over the ground and in height."""
-    apart = np.inf
+    apart, ties = np.inf, 0
     for side in range(2):
         c0, h0, r0, c1, h1, r1 = (ca, ha, ra, cb, hb, rb) if side == 0 else (cb, hb, rb, ca, ha, ra)
         for m in range(4):
@@ -218,13 +213,17 @@ def _upright_gap(ca: Array, ha: Array, ra: Array, cb: Array, hb: Array, rb: Arra
             v = (x - c1[0]) * r1[0, 1] + (y - c1[1]) * r1[1, 1]
             u_in, v_in = min(h1[0], max(-h1[0], u)), min(h1[1], max(-h1[1], v))
             away = (u - u_in) ** 2 + (v - v_in) ** 2
-            if away < apart:
-                apart = away
-                gx, gy = c1[0] + u_in * r1[0, 0] + v_in * r1[0, 1], c1[1] + u_in * r1[1, 0] + v_in * r1[1, 1]
-                if side == 0:
-                    p[0], p[1], q[0], q[1] = x, y, gx, gy
-                else:
-                    p[0], p[1], q[0], q[1] = gx, gy, x, y
+            if away > apart + TIE:
+                continue
+            if away < apart - TIE:
+                p[:2], q[:2], ties = 0.0, 0.0, 0
+            apart, ties = min(apart, away), ties + 1
+            gx, gy = c1[0] + u_in * r1[0, 0] + v_in * r1[0, 1], c1[1] + u_in * r1[1, 0] + v_in * r1[1, 1]
+            if side == 0:
+                p[0], p[1], q[0], q[1] = p[0] + x, p[1] + y, q[0] + gx, q[1] + gy
+            else:
+                p[0], p[1], q[0], q[1] = p[0] + gx, p[1] + gy, q[0] + x, q[1] + y
+    p[:2], q[:2] = p[:2] / ties, q[:2] / ties
     if apart > 0.0:
         separate = False
         for n in range(4):
@@ -250,14 +249,15 @@ def _upright_gap(ca: Array, ha: Array, ra: Array, cb: Array, hb: Array, rb: Arra
 def gap_between(ca: Array, ha: Array, ra: Array, cb: Array, hb: Array, rb: Array, p: Array, q: Array) -> float:
     """Least distance between two boxes, 0 where they overlap; a pair of points that attains it is written to p, q (3,).
 
-    Exact: two separate boxes are nearest at a corner of one and the surface of the other, or at two edges.
+    Exact: two separate boxes are nearest at a corner of one and the surface of the other, or at two edges. Where sides
+    face each other, many pairs are as near: then the points are the means of all that were looked at.
     """
     if ra[2, 2] > 1.0 - UPRIGHT and rb[2, 2] > 1.0 - UPRIGHT:
         return float(_upright_gap(ca, ha, ra, cb, hb, rb, p, q))
     p[:], q[:] = 0.5 * (ca + cb), 0.5 * (ca + cb)
     if _overlap(ca, ha, ra, cb, hb, rb):
         return 0.0
-    best = np.inf
+    best, ties = np.inf, 0
     for side in range(2):
         c0, h0, r0, c1, h1, r1 = (ca, ha, ra, cb, hb, rb) if side == 0 else (cb, hb, rb, ca, ha, ra)
         for m in range(8):
@@ -268,17 +268,25 @@ def gap_between(ca: Array, ha: Array, ra: Array, cb: Array, hb: Array, rb: Array
                 at = ((corner - c1) * r1[:, k]).sum()
                 on_box += min(h1[k], max(-h1[k], at)) * r1[:, k]
             away = ((corner - on_box) ** 2).sum()
-            if away < best:
-                best = away
-                p[:], q[:] = (corner, on_box) if side == 0 else (on_box, corner)
+            if away < best - TIE:
+                p[:], q[:], ties = 0.0, 0.0, 0
+            if away <= best + TIE:
+                best, ties = min(best, away), ties + 1
+                p += corner if side == 0 else on_box
+                q += on_box if side == 0 else corner
     edges_a, edges_b = _edges(ca, ha, ra), _edges(cb, hb, rb)
     on_a, on_b = np.empty(3), np.empty(3)
     for m in range(12):
         for n in range(12):
             away = _nearest_on_segments(edges_a[m, 0], edges_a[m, 1], edges_b[n, 0], edges_b[n, 1], on_a, on_b)
-            if away < best:
-                best = away
-                p[:], q[:] = on_a, on_b
+            if away < best - TIE:
+                p[:], q[:], ties = 0.0, 0.0, 0
+            if away <= best + TIE:
+                best, ties = min(best, away), ties + 1
+                p += on_a
+                q += on_b
+    p /= ties
+    q /= ties
     return float(np.sqrt(best))
 
 
@@ -484,15 +492,16 @@ def measure_pairs(
     corners: Array,
     count: Array,
     area: Array,
-    far_m: float,
+    reach: Array,
     inset_m: float,
     solid: tuple[Array, Array, Array],
     grid: tuple[Array, Array, Array, Array, Array, Array],
 ) -> tuple[Array, Array, Array, Array]:
     """Measurements of pairs (m, 2) of boxes.
 
+    reach       : (n,) the gap of a pair is looked for up to the sum of both [m]
     solid, grid : boxes (centre, half, axes) through which no way leads, and (cell, *fill_grid) of their bounds
-    Returns (m,) arrays: gap [m] (inf beyond `far_m`); whether the way between the nearest points is clear;
+    Returns (m,) arrays: gap [m] (inf beyond reach); whether the way between the nearest points is clear;
     overlap of the footprints as a share of the smaller; whether a solid lies between the upper and the lower there.
     """
     n_pairs = len(pairs)
@@ -502,8 +511,14 @@ def measure_pairs(
     cell, table, heads, items, following, large = grid
     for m in range(n_pairs):
         i, j = pairs[m, 0], pairs[m, 1]
-        apart = gap_between(center[i], half[i], axes[i], center[j], half[j], axes[j], p, q)
-        if apart <= far_m:
+        bounds_apart = 0.0
+        for r in range(3):
+            bounds_apart += max(0.0, low[i, r] - high[j, r], low[j, r] - high[i, r]) ** 2
+        far = reach[i] + reach[j]
+        apart = np.inf
+        if bounds_apart <= far * far:
+            apart = gap_between(center[i], half[i], axes[i], center[j], half[j], axes[j], p, q)
+        if apart <= far:
             gap[m] = apart
             clear[m] = apart == 0.0 or not blocked(
                 p, q, inset_m, solid[0], solid[1], solid[2], cell, table, heads, items, following, large
