@@ -86,9 +86,9 @@ class Objects:
             if instance_id not in instances.instances:
                 self._split_from.pop(instance_id, None)
                 self._depart(instance_id, instances, graph, stamp_ns, changes, reshaped)
-        for node_id in sorted(doubted & self._instance_of.keys()):
-            instance_id = self._instance_of[node_id]
-            if self._has_gone(node_id, instances.instances[instance_id], instances, graph):
+        for node_id in sorted(doubted):
+            instance_id = self._instance_of.get(node_id, 0)  # none, when it has just become another that has gone
+            if instance_id and self._has_gone(node_id, instances.instances[instance_id], instances, graph):
                 instances.release(instance_id)
                 self._depart(instance_id, instances, graph, stamp_ns, changes, reshaped)
         taken_over = {self._instance_of.get(step.id) for step in changes.steps if isinstance(step, Node)}

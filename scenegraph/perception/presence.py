@@ -59,6 +59,8 @@ class Presence:
         """Take note of where a thing is now; None: nowhere."""
         for cell in _cells(self._samples.pop(node_id, np.empty((0, 3)))):
             self._cells[cell].discard(node_id)
+            if not self._cells[cell]:
+                del self._cells[cell]
         if shape is None:
             self._looked_ns.pop(node_id, None)
             self.doubts.pop(node_id, None)

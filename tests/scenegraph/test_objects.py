@@ -40,6 +40,9 @@ class Seen:
         self.forgotten.append(number)
         del self.instances[number], self.surface[number]
 
+    def release(self, number: int) -> None:
+        del self.instances[number], self.surface[number]
+
     def were_apart(self, one: int, other: int) -> bool:
         return self.apart
 
@@ -289,3 +292,49 @@ def test_others_stay_two(world: Watching, label: str, way: float, apart: bool) -
     world.seen.put(2, label, CUBE + way, now=20)
     world.update(2)
     assert {n.id for n in world.graph.nodes("object")} == {"object_1", "object_2"}
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_whatever_happens_each_thing_has_one_node_and_each_node_one_thing(seed: int) -> None:
+    """Things are found, lost, found elsewhere, merged, relabelled and looked for in vain, in any order."""
+    rng = np.random.default_rng(seed)
+    watching = Watching()
+    seen, objects = watching.seen, watching.objects
+    number = 0
+    for _ in range(60):
+        watching.now += MUCH_LATER // 4
+        touched, merged = set[int](), dict[int, int]()
+        alive = sorted(seen.instances)
+        match rng.integers(5):
+            case 0 if len(alive) > 1:
+                kept, lost = sorted(rng.choice(alive, 2, replace=False).tolist())
+                seen.join(kept, lost)
+                merged, touched = {lost: kept}, {kept}
+            case 1 if alive:
+                lost = int(rng.choice(alive))
+                del seen.instances[lost], seen.surface[lost]
+                touched = {lost}
+            case 2 if alive:
+                one = int(rng.choice(alive))
+                label = CLASSES[int(rng.integers(3))]
+                seen.put(one, label, seen.surface[one], views=int(rng.integers(1, 9)), now=watching.now)
+                touched = {one}
+            case 3 if objects.presence.doubts.keys() != objects._instance_of.keys():
+                for name in rng.permutation(sorted(objects._instance_of))[:2]:
+                    objects.presence.doubts[str(name)] = float(rng.integers(1, 4))
+            case _:
+                number += 1
+                place = rng.integers(0, 4, 3) * [1.0, 1.0, 0.0]
+                seen.put(number, CLASSES[int(rng.integers(2))], CUBE + place, now=watching.now)
+                touched = {number}
+        doubted = set(objects.presence.doubts)
+        objects._look_for = lambda *_, doubted=doubted: doubted  # type: ignore[method-assign, misc]
+        watching.update(*touched, merged=merged)
+        things = {n.id for layer in ("object", "structure") for n in watching.graph.nodes(layer)}
+        assert set(objects._node_of.values()) == things == objects.shapes.keys() == objects.labels.keys()
+        assert set(objects._node_of) <= seen.instances.keys()
+        assert len(set(objects._node_of.values())) == len(objects._node_of)
+        assert all(watching.graph.node(n).label == label for n, label in objects.labels.items())
+        assert all(watching.graph.tombstone(n) is None for n in things)
+        assert not objects.reappearance.absent.keys() & things
+        assert objects.reappearance.newcomers.keys() <= things
