@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from typing import Any, cast
 
 from mapping.observations import ClassInfo
-from reasoning.knowledge import KnowledgeBase
+from reasoning.knowledge import DerivedEdge, KnowledgeBase
 from reasoning.terms import Atom, Compound, Term, Var
 from scenegraph import facts
 from scenegraph.answers import Answers
 from scenegraph.config import WorldConfig
+from scenegraph.doubts import CONTRARY, Doubts
 from scenegraph.graph import Edge, EdgeKey, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 from scenegraph.perception.relations import MeasurementChange
@@ -50,6 +51,7 @@ class Meaning:
         self.label_planes = rules_labeller(knowledge)
         self._containers: dict[str, bool] = {}
         self._structural: dict[str, bool] = {}
+        self._doubts = Doubts()
         knowledge.update(
             put=[
                 Compound("parameter", (Atom("voxel_size_m"), config.fine_voxel_size_m)),
@@ -93,8 +95,12 @@ class Meaning:
         graph: SceneGraph,
         source: str,
         stamp_ns: int,
+        seen: Set[str] | None = None,
     ) -> None:
-        """Tell the rules what changed, and add to `changes` the edges and room types that now follow or fail."""
+        """Tell the rules what changed, and add to `changes` the edges and room types that now follow or fail.
+
+        seen: the things in view of an observation; None: an operator's word, against which no doubt is due
+        """
         nodes = {step.id: step for step in changes.steps if isinstance(step, Node)}
         gone = {step.id for step in changes.steps if isinstance(step, NodeDeletion)}
         put, deleted = facts.measurement_facts(measured)
@@ -113,34 +119,32 @@ class Meaning:
         self.knowledge.update(put=put, deleted=deleted, forget=sorted(gone))
 
         asked = sorted(set(touched) - gone)
-        if asked:
-            looked_at, derived = self.knowledge.derived_edges(asked)
-            self._bring_edges_in_step(changes, looked_at, derived, nodes, gone, graph, source, stamp_ns)
+        looked_at, derived = self.knowledge.derived_edges(asked) if asked else ([], [])
+        failing = self._bring_edges_in_step(changes, looked_at, derived, graph, source, stamp_ns)
+        failing = {key for key in failing if gone.isdisjoint(key[1:])}
+        self._doubts.weigh(failing, derived, None if seen is None else seen - gone, graph, nodes, changes)
         self._type_rooms(changes, nodes, gone, graph)
 
     @staticmethod
     def _bring_edges_in_step(
         changes: GraphChanges,
         looked_at: list[str],
-        derived: list[Any],
-        nodes: dict[str, Node],
-        gone: set[str],
+        derived: list[DerivedEdge],
         graph: SceneGraph,
         source: str,
         stamp_ns: int,
-    ) -> None:
+    ) -> set[EdgeKey]:
+        """Put the edges that are new, changed or no longer in doubt; returns those that were looked at and fail."""
         known_at = (node_id for node_id in looked_at if node_id in graph)
         stale = {edge.key for node_id in known_at for edge in graph.edges_of(node_id) if follows_rules(edge)}
         for edge in derived:
-            key = (edge.relation, edge.source, edge.target)
+            key = EdgeKey(edge.relation, edge.source, edge.target)
             stale.discard(key)
             known = graph.edge(*key)
-            if known is not None and known.value == edge.value and known.threshold == edge.threshold:
+            if known is not None and _confirms(known, edge):
                 continue
             changes.put(facts.derived_edge(edge, known, (source,), stamp_ns))
-        for relation, one, other in sorted(stale):
-            if one not in gone and other not in gone:
-                changes.delete_edge(relation, one, other)
+        return stale
 
     def _type_rooms(self, changes: GraphChanges, nodes: dict[str, Node], gone: set[str], graph: SceneGraph) -> None:
         """Write the type that the rules give a room, with the reason, where it changed."""
@@ -211,9 +215,15 @@ class Meaning:
             put += self._facts_of[node.id]
         put += [facts.edge_fact(edge) for edge in graph.edges() if is_told(edge)]
         self.knowledge.update(put=put)
+        self._doubts.remember(graph.edges())
         for told in statements:
             self.accept(told)
 
 
 def _reason(term: Term) -> str:
     return term if isinstance(term, str) else str(term)
+
+
+def _confirms(known: Edge, derived: DerivedEdge) -> bool:
+    """Whether an edge says what was derived, and is not in doubt."""
+    return (known.value, known.threshold) == (derived.value, derived.threshold) and CONTRARY not in known.attributes

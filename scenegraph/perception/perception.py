@@ -101,7 +101,8 @@ class Perception:
         for mover, node in movers.items():
             shares = {} if node is None else self.rooms.shares(node.position[None, :2], float(node.position[2]))
             measured.merge(self.relations.set_shares(mover, shares))
-        self._meaning.infer(changes, measured, reshaped | moved_rooms | movers.keys(), graph, source, stamp_ns)
+        touched = reshaped | moved_rooms | movers.keys()
+        self._meaning.infer(changes, measured, touched, graph, source, stamp_ns, _in_view(changes, stamp_ns))
         return changes
 
     def place_agent(self, observation: AgentPose, graph: SceneGraph) -> GraphChanges:
@@ -125,7 +126,7 @@ class Perception:
         shares = self.rooms.shares(position[None, :2], float(position[2]))
         measured = self.relations.set_shares(agent, shares)
         source = f"{observation.robot}/pose@{observation.stamp_ns}"
-        self._meaning.infer(changes, measured, {agent}, graph, source, observation.stamp_ns)
+        self._meaning.infer(changes, measured, {agent}, graph, source, observation.stamp_ns, {agent})
         return changes
 
     def realign(self, moves: Mapping[str, SE3], graph: SceneGraph, source: str, stamp_ns: int) -> GraphChanges:
@@ -301,6 +302,17 @@ class Perception:
                 shares = self.rooms.shares(position[None, :2], float(position[2]))
             change.merge(self.relations.set_shares(thing, shares))
         return change
+
+
+def _in_view(changes: GraphChanges, stamp_ns: int) -> set[str]:
+    """The things that were seen at a time; planes are seen piecemeal and say nothing of what stands on them."""
+    return {
+        step.id
+        for step in changes.steps
+        if isinstance(step, Node)
+        and step.last_seen_ns >= stamp_ns
+        and (step.layer in ("object", "agent") or step.id.startswith("opening_"))
+    }
 
 
 def _with(node: Node, **attributes: Any) -> Node:
