@@ -1,8 +1,8 @@
 """Edges that the rules no longer derive: evidence ages, so one contrary look does not undo what many have shown.
 
 An edge is withdrawn after WITHDRAWN_AFTER contrary observations while a thing of it was in view; out of view it is
-kept, with its date. What cannot hold beside a new edge goes at once: a thing is in one room, nothing is on and above the
-same thing, and `on` stays acyclic.
+kept, with its date. What cannot hold beside a new edge goes at once: a thing is in one room, nothing is on and above
+the same thing, and `on` stays acyclic.
 """
 
 from __future__ import annotations
