@@ -16,10 +16,11 @@ from mapping.observations import AgentPose
 from scenegraph.collector import collector_paused
 from scenegraph.errors import InvalidStatement
 from scenegraph.facts import class_atom
-from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
+from scenegraph.graph import Edge, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 from scenegraph.labels import Labels
 from scenegraph.perception import told_rooms
+from scenegraph.perception.agents import agent_node
 from scenegraph.perception.boxes import Boxes
 from scenegraph.perception.building import Building
 from scenegraph.perception.clusters import Clusters
@@ -110,19 +111,8 @@ class Perception:
         changes = self._found(graph, observation.stamp_ns)
         agent = f"agent_{observation.robot}"
         known = graph.node(agent) if agent in graph else None
+        changes.put(agent_node(observation, known))
         position = observation.T_map_base.translation
-        changes.put(
-            Node(
-                id=agent,
-                layer="agent",
-                label="robot",
-                position=position,
-                box=Box(center=position, size=(0.0, 0.0, 0.0), rotation_wxyz=observation.T_map_base.quaternion_wxyz),
-                first_seen_ns=observation.stamp_ns if known is None else min(known.first_seen_ns, observation.stamp_ns),
-                last_seen_ns=observation.stamp_ns if known is None else max(known.last_seen_ns, observation.stamp_ns),
-                attributes={"name": observation.robot},
-            )
-        )
         shares = self.rooms.shares(position[None, :2], float(position[2]))
         measured = self.relations.set_shares(agent, shares)
         source = f"{observation.robot}/pose@{observation.stamp_ns}"
