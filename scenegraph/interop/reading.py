@@ -40,7 +40,7 @@ def _graph(text: str, labels: Mapping[int, str] | None) -> SceneGraph:
     if text.lstrip().startswith("<"):
         return read_graphml(text)
     try:
-        document: Any = json.loads(text)
+        document: Any = json.loads(text, parse_constant=lambda _: None)  # NaN and the like: not known
     except ValueError as error:
         raise GraphUnreadable(f"neither JSON nor GraphML: {error}") from None
     if isinstance(document, dict):

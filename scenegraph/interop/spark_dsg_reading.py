@@ -16,7 +16,7 @@ times       when last updated; of agents, their stamps; of Khronos' objects, fir
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from scenegraph.errors import GraphUnreadable, InvalidGraphValue, InvariantViolated
@@ -152,21 +152,24 @@ class _Reader:
     @staticmethod
     def _box(layer: Layer, fields: dict[str, Any], told: dict[str, Any]) -> Box | None:
         """Theirs; ours where theirs is ours in single precision."""
-        ours = None if told.get("box") is None else Box.model_validate(told["box"])
+        ours = told.get("box")
         if layer == "agent":
             turn = [fields["world_R_body"][axis] for axis in "wxyz"]
-            if told and (ours is None or _close(ours.rotation_wxyz, turn)):
-                return ours
+            if told and (ours is None or _same_turn(ours["rotation_wxyz"], turn)):
+                return None if ours is None else Box.model_validate(ours)
             return Box(center=fields["position"], size=(0.0, 0.0, 0.0), rotation_wxyz=turn)
-        theirs = box_of(fields["bounding_box"]) if "bounding_box" in fields else None
-        if ours is None or theirs is None:
-            return theirs
-        same = (
-            _close(ours.center, theirs.center)
-            and _close(ours.size, theirs.size)
-            and _close(ours.rotation, theirs.rotation)
-        )
-        return ours if same else theirs
+        theirs = fields.get("bounding_box")
+        if theirs is None or theirs["type"] == "INVALID":
+            return None
+        if ours is not None and theirs["type"] != "AABB":
+            turn = [theirs["world_R_center"][axis] for axis in "wxyz"]
+            if (
+                _close(ours["center"], theirs["world_P_center"])
+                and _close(ours["size"], theirs["dimensions"])
+                and _same_turn(ours["rotation_wxyz"], turn)
+            ):
+                return Box.model_validate(ours)
+        return box_of(theirs)
 
     def _id(self, layer: Layer, symbol: int, told: Any) -> str:
         """The id that we gave it; else `room_1` of `R1`, `agent_a_5` of `a5`; with a number where that is taken."""
@@ -190,7 +193,7 @@ class _Reader:
             raise GraphUnreadable(f"spark_dsg: edges[{row}]: {_words(error)}") from None
 
     def _edges(self, record: dict[str, Any]) -> list[Edge]:
-        info = _plain(record.get("info") or {})
+        info = record.get("info") or {}
         metadata = info.get("metadata") or {}
         if "relations" in metadata:
             return [Edge.model_validate(edge) for edge in metadata["relations"]]
@@ -219,21 +222,22 @@ class _Reader:
 
 
 def _modern(record: dict[str, Any]) -> dict[str, Any]:
-    """A node's fields as format 1.1 has them, and `partition`."""
-    fields: dict[str, Any] = _plain(record["attributes"])
+    """A copy of a node's fields as format 1.1 has them, and `partition`."""
+    fields: dict[str, Any] = dict(record["attributes"])
     prefix = record.get("prefix", 0)
     fields["partition"] = record.get("partition", prefix if isinstance(prefix, int) else ord(prefix))
     if "timestamp" in record:
         fields["timestamp"] = record["timestamp"]
     box = fields.get("bounding_box")
     if box is not None and "dimensions" not in box:
-        low, high = box.pop("min"), box.pop("max")
-        box["dimensions"] = [b - a for a, b in zip(low, high, strict=True)]
+        size = [b - a for a, b in zip(box["min"], box["max"], strict=True)]
+        rest = {name: value for name, value in box.items() if name not in ("min", "max")}
+        fields["bounding_box"] = {**rest, "dimensions": size}
     color = fields.get("color")
     if isinstance(color, list):
         fields["color"] = dict(zip("rgba", [*color, 255][:4], strict=True))
-    for contact in fields.get("voxblox_mesh_connections", ()):
-        contact.setdefault("label", None)
+    if fields.get("voxblox_mesh_connections"):
+        fields["voxblox_mesh_connections"] = [{"label": None, **one} for one in fields["voxblox_mesh_connections"]]
     fields.setdefault("metadata", {})
     fields.setdefault("is_predicted", False)
     match fields["type"]:
@@ -255,17 +259,6 @@ _PLACE: dict[str, Any] = {
     "frontier_scale": [0.0, 0.0, 0.0],
     "orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
 }
-
-
-def _plain(value: Any) -> Any:
-    """A copy in which numbers that are not finite are None: our attributes hold JSON only."""
-    if isinstance(value, dict):
-        return {str(name): _plain(item) for name, item in value.items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and value - value != 0.0:
-        return None
-    return value
 
 
 def _kept(symbol: int, number: int, partition: int, name: str, label: str, fields: dict[str, Any]) -> dict[str, Any]:
@@ -296,12 +289,13 @@ def _stamps(given: Any) -> list[int]:
     )
 
 
-def _close(a: Any, b: Any) -> bool:
-    return all(abs(x - y) <= _SINGLE * max(1.0, abs(x)) for x, y in zip(_flat(a), _flat(b), strict=True))
+def _close(a: Sequence[float], b: Sequence[float]) -> bool:
+    return a == b or all(abs(x - y) <= _SINGLE * max(1.0, abs(x)) for x, y in zip(a, b, strict=True))
 
 
-def _flat(values: Any) -> list[float]:
-    return [float(x) for x in (values.ravel() if hasattr(values, "ravel") else values)]
+def _same_turn(a: Sequence[float], b: Sequence[float]) -> bool:
+    """Whether two unit quaternions turn alike; −q turns as q does."""
+    return _close(a, b) or _close(a, [-x for x in b])
 
 
 def _in_time(node: Node) -> tuple[int, int]:
