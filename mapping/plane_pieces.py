@@ -202,18 +202,19 @@ class Pieces:
 
     def move(self, old: int, new: int, chosen: Array | None = None) -> None:
         """Give the samples of one slot, or those `chosen` (a mask in the order of `samples`), to another."""
-        start = 0
+        keys, first = list(self._blocks_of[old]), np.cumsum([0, *self._blocks_of[old].values()])
+        if chosen is not None:
+            some = np.flatnonzero(chosen)
+            in_block = np.searchsorted(first, some, side="right") - 1
+            parts = {int(k): some[in_block == k] - first[k] for k in np.unique(in_block)}
         points, normals = [], []
-        for key in list(self._blocks_of[old]):
-            block = self._blocks[key]
+        for k in range(len(keys)) if chosen is None else parts:
+            block = self._blocks[keys[k]]
             rows = np.flatnonzero(block.slot_of == old)
-            part = rows if chosen is None else rows[chosen[start : start + len(rows)]]
-            start += len(rows)
-            if not len(part):
-                continue
+            part = rows if chosen is None else rows[parts[k]]
             block.slot_of[part] = new
             for slot, n in ((old, -len(part)), (new, len(part))):
-                self._count(key, {slot: n}, 1)
+                self._count(keys[k], {slot: n}, 1)
                 _add(block.counts, slot, n)
             points.append(block.points[part])
             normals.append(block.normals[part])

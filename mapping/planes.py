@@ -382,13 +382,14 @@ class PlaneMap:
             n, labels, stride = coverage.parts(_REACH_M)
             if n < 2:
                 continue
-            sizes = np.bincount(coverage.part_of(self._pieces.samples(slot), labels, stride), minlength=n + 1)
+            part_of = coverage.part_of(self._pieces.samples(slot), labels, stride)
+            sizes = np.bincount(part_of, minlength=n + 1)
             for part in np.argsort(-sizes, kind="stable")[1:]:
                 if part == 0 or sizes[part] == 0:
                     continue
                 new = self._pieces.new(coverage.frame.origin, self._pieces.normal[slot], self._pieces.offset[slot])
-                chosen = coverage.part_of(self._pieces.samples(slot), labels, stride) == part
-                self._pieces.move(slot, new, chosen)
+                self._pieces.move(slot, new, part_of == part)
+                part_of = part_of[part_of != part]
                 touched.add(new)
             self._pieces.refit(touched)
 
