@@ -121,8 +121,12 @@ class Objects:
         shown = () if change.masks is None else np.unique(change.masks.instance).tolist()
         known = instances.instances
         sure = [i for i in shown if i in known and known[i].views >= LEAST_VIEWS]
-        here = {node_id: i for node_id, i in self._instance_of.items() if i in known}
-        missed, found = self.presence.look(view, change.masks, here, sure, stamp_ns)
+
+        def behind(node_id: str) -> int:
+            instance_id = self._instance_of.get(node_id, 0)
+            return instance_id if instance_id in known else 0
+
+        missed, found = self.presence.look(view, change.masks, behind, sure, stamp_ns)
         return missed | found
 
     def _bury(self, lost: int, kept: str | None, changes: GraphChanges, reshaped: set[str]) -> None:
@@ -217,7 +221,9 @@ class Objects:
     def _merge_twins(self, node_id: str, instances: InstanceMap, changes: GraphChanges, reshaped: set[str]) -> None:
         """Make a thing and others of its class one where they interpenetrate, unless images showed them side by side;
         the one that was known first stays."""
-        shape = self.shapes[node_id]
+        shape = self.shapes.get(node_id)
+        if shape is None:
+            return
         for other in sorted(self.presence.near(shape.box.center)):
             if node_id not in self._instance_of:
                 return  # it was the younger of two

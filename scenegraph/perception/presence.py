@@ -8,7 +8,7 @@ labelled is not looked at: it keeps what was known of it.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import product
 from typing import Any, TypeAlias
 
@@ -73,19 +73,25 @@ class Presence:
             self._cells[cell].add(node_id)
 
     def look(
-        self, view: DepthView, masks: Masks | None, instance_of: Mapping[str, int], sure: Iterable[int], stamp_ns: int
+        self,
+        view: DepthView,
+        masks: Masks | None,
+        instance_of: Callable[[str], int],
+        sure: Iterable[int],
+        stamp_ns: int,
     ) -> tuple[set[str], set[str]]:
         """What one image says: ids of the nodes that were looked for in vain, and of those that were doubted and seen.
 
-        instance_of  the instance behind each node
+        instance_of  the instance behind a node, 0 for none
         sure         instances that are well known: a mask of another that lies where a thing was may be its own
         """
-        near = sorted(n for n in self._in_view(view) if n in instance_of)
+        behind = {n: instance_of(n) for n in self._in_view(view)}
+        near = sorted(n for n, instance in behind.items() if instance)
         if not near:
             return set(), set()
         counts = np.array([len(self._samples[n]) for n in near])
         owner = np.repeat(np.arange(len(near)), counts)
-        instance = np.array([instance_of[n] for n in near])
+        instance = np.array([behind[n] for n in near])
         other, visible, depth = _judge(
             np.concatenate([self._samples[n] for n in near]), view, masks, instance[owner], np.fromiter(sure, np.int64)
         )

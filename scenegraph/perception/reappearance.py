@@ -83,7 +83,11 @@ class Reappearance:
     def arrive(self, node: Node, stamp_ns: int) -> None:
         """Something has appeared that is nothing known."""
         self.newcomers[node.id] = node.first_seen_ns
-        while stamp_ns - self.newcomers[oldest := next(iter(self.newcomers))] > WINDOW_S * 1e9:
+        window_ns = WINDOW_S * 1e9
+        while (
+            stamp_ns - self.newcomers[oldest := next(iter(self.newcomers))] > window_ns
+            or len(self.newcomers) > MOST_REMEMBERED
+        ):
             del self.newcomers[oldest]
 
     def who_is(self, node: Node, look: Look, stamp_ns: int, rivals: Iterable[Known] = ()) -> Absent | None:

@@ -323,10 +323,11 @@ def test_whatever_happens_each_thing_has_one_node_and_each_node_one_thing(seed: 
                 for name in rng.permutation(sorted(objects._instance_of))[:2]:
                     objects.presence.doubts[str(name)] = float(rng.integers(1, 4))
             case _:
-                number += 1
-                place = rng.integers(0, 4, 3) * [1.0, 1.0, 0.0]
-                seen.put(number, CLASSES[int(rng.integers(2))], CUBE + place, now=watching.now)
-                touched = {number}
+                for _ in range(3):
+                    number += 1
+                    place = rng.integers(0, 3, 3) * [1.0, 0.01, 0.0]
+                    seen.put(number, CLASSES[int(rng.integers(2))], CUBE + place, now=watching.now)
+                    touched.add(number)
         doubted = set(objects.presence.doubts)
         objects._look_for = lambda *_, doubted=doubted: doubted  # type: ignore[method-assign, misc]
         watching.update(*touched, merged=merged)

@@ -40,7 +40,7 @@ class Watch:
     def look(self, depth_m: float, pose: SE3 = AT_CUBE, seen: Masks | None = None) -> set[str]:
         self.now += GAP_NS
         view = DepthView(np.full(SHAPE, depth_m, np.float32), CAMERA, pose, 6.0)
-        missed, _ = self.presence.look(view, seen, {"object_7": OURS}, [OTHER], self.now)
+        missed, _ = self.presence.look(view, seen, lambda _: OURS, [OTHER], self.now)
         return missed
 
 
