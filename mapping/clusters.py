@@ -25,9 +25,9 @@ from mapping.layer import require
 from mapping.planes import PlaneMap
 
 Array: TypeAlias = NDArray[Any]
-Role: TypeAlias = Literal["structure", "support"]
-"""What a plane is to things: a wall, floor or ceiling, of which they are no part; or a level surface on which they
-stand."""
+Role: TypeAlias = Literal["structure", "support", "underside"]
+"""What a plane is to things: a wall, floor or ceiling, of which they are no part; a level surface on which they stand;
+or one that looks down, of a ceiling that nobody called so, or of something whose top and sides are there as well."""
 
 FRONT_M = 0.03
 BEHIND_M = 0.10
@@ -39,11 +39,12 @@ REACH_VOXELS = 1.5
 """Planes go on by so much beyond what is covered of them."""
 LEVEL = 0.9
 """A plane that looks up so far (the z of its normal) may carry things."""
-LEAST_AREA_M2 = 0.01
-LEAST_VOXELS = 6
+LEAST_AREA_M2 = 0.015
+LEAST_VOXELS = 8
 LEAST_SIDE_M = 0.06
 LARGEST_M = 3.0
-"""A component is a thing when it has that much surface and voxels, is that long and no longer along the map's axes."""
+"""A component is a thing when it has that much surface and voxels, is that long along an axis of the map, three voxels
+at least, and two along another, and no longer than LARGEST_M."""
 
 Named: TypeAlias = Callable[[Array], Array]
 """Points (N, 3) [m] → (N,) bool: whether what is there has a name already, and is no cluster."""
@@ -100,8 +101,9 @@ class ClusterMap:
         """Whether a component has the size of a thing."""
         if component.n_voxels < max(LEAST_VOXELS, LEAST_AREA_M2 / self.voxel_size_m**2):
             return False
-        longest = float((component.high - component.low).max()) + self.voxel_size_m
-        return LEAST_SIDE_M <= longest <= LARGEST_M
+        _, middle, longest = np.sort(component.high - component.low).tolist()
+        size = self.voxel_size_m  # sides reach from middle to middle of voxels
+        return bool(middle > 0.5 * size and max(LEAST_SIDE_M - size, 1.5 * size) < longest <= LARGEST_M - size)
 
     # -- change -------------------------------------------------------------------------------------------
     def assign(self, planes: PlaneMap, roles: Mapping[int, Role | None]) -> None:
@@ -165,13 +167,13 @@ class ClusterMap:
 
     def _codes(self, planes: PlaneMap, blocks: Array, named: Named | None) -> NDArray[np.uint8]:
         """(K, 512) what the voxels of blocks (K, 3) are."""
-        points, ids, owner = planes.samples_in(blocks)
+        points, _, ids, owner = planes.samples_in(blocks)
         given = np.full(len(points), LOOSE, np.uint8)
         for plane_id in np.unique(ids).tolist():
             role = self._roles.get(plane_id)
             if role is not None:
-                given[ids == plane_id] = NOTHING if role == "structure" else RAISED
-        near = [i for i in planes.ids_near(blocks) if i in self._roles]
+                given[ids == plane_id] = RAISED if role == "support" else NOTHING
+        near = self._with_role(planes.ids_near(blocks), "structure", "support")
         loose = np.flatnonzero(given == LOOSE)
         if near and len(loose):
             given[loose] = self._beside(planes, near, points[loose])
@@ -286,17 +288,25 @@ class ClusterMap:
         kept.views = max(kept.views, lost.views)
 
     # -- what is there ------------------------------------------------------------------------------------
-    def points(self, component_id: int, planes: PlaneMap) -> NDArray[np.float32]:
-        """The surface samples (N, 3) [m] of a component."""
+    def surface(self, component_id: int, planes: PlaneMap) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The surface samples (N, 3) [m] of a component, and their normals (N, 3)."""
         slots = np.array(sorted(self.components[component_id].slots), np.int64)
-        points, _, owner = planes.samples_in(self._store.block_ijk[slots])
-        return np.asarray(points[self._components_at(points, slots[owner]) == component_id])
+        points, normals, _, owner = planes.samples_in(self._store.block_ijk[slots])
+        mine = self._components_at(points, slots[owner]) == component_id
+        return points[mine], normals[mine]
 
     def carriers(self, component_id: int, planes: PlaneMap) -> list[int]:
         """The level planes that look up, ascending, on which a component may stand."""
-        slots = np.array(sorted(self.components[component_id].slots), np.int64)
-        near = [i for i in planes.ids_near(self._store.block_ijk[slots]) if i in self._roles]
+        near = self.planes_near(component_id, planes, "structure", "support")
         return [i for i, up in zip(near, planes.equations(near)[0][:, 2].tolist(), strict=True) if up > LEVEL]
+
+    def planes_near(self, component_id: int, planes: PlaneMap, *roles: Role) -> list[int]:
+        """The planes that are one of this to things, ascending, of which something is beside a component."""
+        slots = np.array(sorted(self.components[component_id].slots), np.int64)
+        return self._with_role(planes.ids_near(self._store.block_ijk[slots]), *roles)
+
+    def _with_role(self, plane_ids: list[int], *roles: Role) -> list[int]:
+        return [i for i in plane_ids if self._roles.get(i) in roles]
 
     def _components_at(self, points: Array, slots: Array) -> Array:
         """The component (N,) of samples (N, 3) of the blocks `slots` (N,)."""
@@ -304,13 +314,13 @@ class ClusterMap:
         within = np.clip(ijk - (self._store.block_ijk[slots].astype(np.int64) << 3), 0, 7)
         return np.asarray(self._store.fields["component"][slots, within[:, 0] << 6 | within[:, 1] << 3 | within[:, 2]])
 
-    def covered(self, points: ArrayLike) -> dict[int, float]:
-        """Of which components points (N, 3) [m] and a voxel about them cover what share."""
+    def covered(self, points: ArrayLike) -> dict[int, int]:
+        """Of which components points (N, 3) [m] and a voxel about them cover how many voxels."""
         if not self._store.n_blocks:
             return {}
         cells = self._cells_near(points)
         ids, counts = np.unique(self._store.fields["component"][cells >> 9, cells & 511], return_counts=True)
-        return {i: n / self.components[i].n_voxels for i, n in zip(ids.tolist(), counts.tolist(), strict=True)}
+        return dict(zip(ids.tolist(), counts.tolist(), strict=True))
 
     def _cells_near(self, points: ArrayLike) -> Array:
         store = self._store

@@ -90,15 +90,18 @@ class Pieces:
             points = points[np.linspace(0, len(points) - 1, at_most).astype(np.int64)]
         return points
 
-    def samples_in(self, block_ijk: Iterable[Sequence[int]]) -> tuple[Array, Array, Array]:
-        """Samples (N, 3) float32 [m] of blocks, the slot (N,) of each or −1, and which block (N,) it is of."""
+    def samples_in(self, block_ijk: Iterable[Sequence[int]]) -> tuple[Array, Array, Array, Array]:
+        """Samples (N, 3) float32 [m] of blocks, their normals (N, 3), the slot (N,) of each or −1, and which block (N,)
+        it is of."""
         held = [self._blocks.get((i, j, k)) for i, j, k in block_ijk]
         there = [block for block in held if block is not None]
         if not there:
-            return np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(0, np.int64)
+            return *np.zeros((2, 0, 3), np.float32), np.zeros(0, np.int32), np.zeros(0, np.int64)
         sizes = [0 if block is None else len(block.points) for block in held]
-        points = np.concatenate([block.points for block in there])
-        return points, np.concatenate([block.slot_of for block in there]), np.repeat(np.arange(len(held)), sizes)
+        points, normals, slots = (
+            np.concatenate([getattr(block, name) for block in there]) for name in ("points", "normals", "slot_of")
+        )
+        return points, normals, slots, np.repeat(np.arange(len(held)), sizes)
 
     # -- places -------------------------------------------------------------------------------------------
     def place_codes(self, block_ijk: Array) -> NDArray[np.int64]:

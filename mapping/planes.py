@@ -167,14 +167,16 @@ class PlaneMap:
         """The blocks (K, 3) of the surface that hold samples of a plane."""
         return np.array(sorted(self._pieces.blocks(self._slot_of[plane_id])), np.int32).reshape(-1, 3)
 
-    def samples_in(self, block_ijk: Array) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
-        """The surface in blocks (K, 3): points (N, 3) float32 [m], the id (N,) of the plane of each, 0 where it is on
-        none that is told of, and the row (N,) of its block, ascending."""
-        points, slots, owner = self._pieces.samples_in(block_ijk.tolist())
+    def samples_in(
+        self, block_ijk: Array
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
+        """The surface in blocks (K, 3): points (N, 3) float32 [m], their normals (N, 3), the id (N,) of the plane of
+        each, 0 where it is on none that is told of, and the row (N,) of its block, ascending."""
+        points, normals, slots, owner = self._pieces.samples_in(block_ijk.tolist())
         ids = np.zeros(int(slots.max(initial=-1)) + 2, np.int64)  # the last is that of no piece
         for slot in np.unique(slots[slots >= 0]).tolist():
             ids[slot] = self._id_of.get(slot, 0)
-        return points, ids[slots], owner
+        return points, normals, ids[slots], owner
 
     def ids_near(self, block_ijk: Array) -> list[int]:
         """The planes, ascending, of which samples lie in or next to (0.2 to 0.45 m) one of the blocks (K, 3)."""

@@ -57,7 +57,7 @@ class Samples:
         blocks = sorted({(i >> 3, j >> 3, k >> 3) for i, j, k in codes})
         return np.array(blocks, np.int32).reshape(-1, 3)
 
-    def samples_in(self, block_ijk: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def samples_in(self, block_ijk: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         rows = [
             (np.add(voxel, 1.0) * self.voxel_size_m, 7 if code == RAISED else 0, row)
             for row, block in enumerate(block_ijk.tolist())
@@ -65,7 +65,8 @@ class Samples:
             if code != NOTHING and [n >> 3 for n in voxel] == block
         ]
         points = np.array([point for point, *_ in rows], np.float32).reshape(-1, 3)
-        return points, np.array([i for _, i, _ in rows], np.int64), np.array([r for *_, r in rows], np.int64)
+        normals = np.tile(np.float32([0, 0, 1]), (len(points), 1))
+        return points, normals, np.array([i for _, i, _ in rows], np.int64), np.array([r for *_, r in rows], np.int64)
 
     def ids_near(self, block_ijk: np.ndarray) -> list[int]:
         return []

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.clusters import LEVEL, ClusterChange, ClusterMap, Component, Role
+from mapping.clusters import LEVEL, RIM_M, ClusterChange, ClusterMap, Component, Role
 from mapping.kernels import columns
 from mapping.labelled import nearest_labelled
 from mapping.layered import LayeredMap, MapChange
@@ -26,10 +26,23 @@ SURE_VIEWS = 6.0
 """A cluster that was seen so often is there with a confidence of 1 − 1/e."""
 SUPPORT_M2 = 0.2
 """A level surface that is no floor carries things when it is this large: a table, not a book."""
-TAKES_SHARE = 0.5
-"""A thing with a name that covers this share of a cluster is what the cluster was."""
+UPRIGHT = 0.3
+WALL_WIDTH_M = 2.2
+"""An upright plane that is wider is of a wall, though not enough of it was seen to call it one."""
+FLAT_M = 0.1
+LOW_VOXELS = 1.3
+"""What stands out of a wall or ceiling by less is of it, two voxels at least; what rises above a floor by less lies on
+it as a rug does."""
+BESIDE_VOXELS = 1.5
+"""Surface so near what has a label is of it."""
+TAKES_SHARE = 0.25
+TAKES_SIDES = 0.4
+"""A thing with a name that covers this share of a cluster, and along each axis reaches no farther than 1 / TAKES_SIDES
+of it, is what the cluster was."""
 FEET_VOXELS = 3.0
 """What ends so shortly above a level plane stands on it: what lies next to a plane is the plane's."""
+HIDDEN_M = 0.3
+"""What a thing stands on goes on so far under it, where nobody sees it."""
 GROWN_SHARE = 0.15
 RESIZED_M = 0.04
 """A cluster is measured anew when its voxels became more or less by this share, or its sides moved by this much."""
@@ -67,9 +80,16 @@ class Clusters:
         (N, 3) [m] are given."""
         if not self._node_of:
             return None
-        shares = clusters.covered(points)
-        best = max((i for i in shares if i in self._node_of), key=lambda i: (shares[i], -i), default=None)
-        if best is None or shares[best] < TAKES_SHARE:
+        covered = {i: n for i, n in clusters.covered(points).items() if i in self._node_of}
+        best = max(covered, key=lambda i: (covered[i], -i), default=None)
+        if best is None:
+            return None
+        cluster = clusters.components[best]
+        if covered[best] < TAKES_SHARE * cluster.n_voxels:
+            return None
+        low, high = np.maximum(cluster.low, points.min(axis=0)), np.minimum(cluster.high, points.max(axis=0))
+        shared = np.maximum(high - low, clusters.voxel_size_m)
+        if (shared < TAKES_SIDES * np.ptp(points, axis=0)).any():
             return None
         clusters.look_again(points)
         node_id = self._node_of.pop(best)
@@ -115,7 +135,7 @@ class Clusters:
             return self._in_a_box
 
         def named(points: Array) -> Array:
-            centres, near = nearest_labelled(points, map_.semantics, map_.tsdf.voxel_size_m)
+            centres, near = nearest_labelled(points, map_.semantics, BESIDE_VOXELS * map_.tsdf.voxel_size_m)
             found = np.zeros(len(points), np.bool_)
             labels, _ = map_.semantics.query(centres)
             found[near] = ((labels > 0) & ~things[labels]) | self._is_named(map_.instances.query(centres))
@@ -136,6 +156,7 @@ class Clusters:
             if lost in self._node_of and kept not in self._node_of:
                 self._node_of[kept] = self._node_of.pop(lost)  # the other had no node yet: the node lives on
                 self._measured.pop(kept, None)
+        self._dismissed.update(part for part, whole in change.split.items() if whole in self._dismissed)
         touched = {*change.touched, *change.seen, *self._again}
         self._again.clear()
         for component_id in sorted(touched):
@@ -177,7 +198,7 @@ class Clusters:
         if shape is None or self._changed(component, clusters.voxel_size_m):
             self._measured[component.id] = component.n_voxels, component.low, component.high
             measured = shape_of(component.id, clusters, planes)
-            if measured is None:
+            if measured is None or lies_flat(measured.points, component.id, clusters, planes):
                 self._bury(component.id, None, False, changes, reshaped)
                 return
             if node_id is None:
@@ -257,15 +278,38 @@ class Clusters:
 
 def role_of(label: str, plane: Plane) -> Role | None:
     """What a plane with this label is to things."""
-    if label != "no_feature":
+    up = float(plane.normal[2])
+    if label != "no_feature" or (abs(up) < UPRIGHT and plane.width_m >= WALL_WIDTH_M):
         return "structure"
-    return "support" if plane.normal[2] > LEVEL and plane.area_m2 >= SUPPORT_M2 else None
+    if up > LEVEL and plane.area_m2 >= SUPPORT_M2:
+        return "support"
+    return "underside" if up < -LEVEL else None
+
+
+def lies_flat(points: Array, component_id: int, clusters: ClusterMap, planes: PlaneMap) -> bool:
+    """Whether points (N, 3) [m] of a component stand out of a wall, floor or ceiling that is beside it by no more than
+    mouldings, door frames and noise do, or are the rim of a table top."""
+    voxel = clusters.voxel_size_m
+    roles: tuple[Role, ...] = ("structure", "support")
+    for role in roles:
+        normals, offsets = planes.equations(clusters.planes_near(component_id, planes, role))
+        above = points @ normals.T - offsets
+        low = planes.tolerance_m if role == "support" else LOW_VOXELS * voxel
+        most = np.where(normals[:, 2] > LEVEL, low, max(FLAT_M, 2.0 * voxel))
+        flat = (np.quantile(above, 0.95, axis=0) < most) & (above.min(axis=0) > -(most + RIM_M + voxel))
+        if flat.any():
+            return True
+    return False
 
 
 def shape_of(component_id: int, clusters: ClusterMap, planes: PlaneMap) -> Shape | None:
-    """The shape of a component, down to what it stands on; None where there is too little for one."""
-    points = clusters.points(component_id, planes)
-    points = grounded(points, planes, clusters.carriers(component_id, planes), clusters.voxel_size_m)
+    """The shape of a component, down to what it stands on; None where there is too little for one, and for a ceiling of
+    which too little was seen to call it one."""
+    points, normals = clusters.surface(component_id, planes)
+    if not len(points) or normals[:, 2].mean() < -LEVEL:
+        return None
+    carriers = clusters.carriers(component_id, planes)
+    points = grounded(points, planes, carriers, clusters.voxel_size_m) if carriers else points
     return Shape.trimmed(points, np.ones(len(points), np.float32), clusters.voxel_size_m)
 
 
@@ -282,7 +326,7 @@ def grounded(
     for k, plane_id in enumerate(carriers):
         rows = np.flatnonzero((above[:, k] > 0.5 * voxel_size_m) & (above[:, k] < FEET_VOXELS * voxel_size_m))
         if len(rows):
-            rows = rows[planes.near(plane_id, bottoms[rows], 1.5 * voxel_size_m, np.inf)]
+            rows = rows[planes.near(plane_id, bottoms[rows], HIDDEN_M, np.inf)]
             parts.append((bottoms[rows] - above[rows, k, None] * normals[k]).astype(np.float32))
     return np.concatenate(parts)
 

@@ -34,7 +34,7 @@ def mapped() -> tuple[ClusterMap, Any]:
 def found(clusters: ClusterMap, surface: Any) -> dict[int, frozenset[Voxel]]:
     """The voxels of each component."""
     return {
-        i: frozenset(map(tuple, np.round(clusters.points(i, surface) / SIZE - 1.0).astype(int).tolist()))
+        i: frozenset(map(tuple, np.round(clusters.surface(i, surface)[0] / SIZE - 1.0).astype(int).tolist()))
         for i in clusters.components
     }
 
@@ -132,7 +132,7 @@ def test_what_has_a_name_is_no_cluster() -> None:
     clusters, surface = mapped()
     blocks = surface.set(bar(0, 10))
     clusters.update(surface, blocks, 1, found=True)
-    assert clusters.covered(np.array([[0.05, 0.05, 0.05]])) == {1: 4 / 30}
+    assert clusters.covered(np.array([[0.05, 0.05, 0.05]])) == {1: 4}
     clusters.look_again(np.array([[0.05, 0.05, 0.05]]))
     clusters.update(surface, blocks[:0], 2, found=False, named=lambda points: points[:, 0] < 4.5 * SIZE)
     assert found(clusters, surface) == {1: frozenset(bar(4, 10))}
@@ -140,7 +140,7 @@ def test_what_has_a_name_is_no_cluster() -> None:
 
 @pytest.mark.parametrize(("n", "size", "thing"), [(40, 0.5, True), (5, 0.5, False), (40, LARGEST_M + 0.1, False)])
 def test_a_thing_is_neither_a_speck_nor_larger_than_furniture(n: int, size: float, thing: bool) -> None:
-    component = Component(1, 0, 0, n_voxels=n, low=np.zeros(3), high=np.array([0.1, size - SIZE, 0.0]))
+    component = Component(1, 0, 0, n_voxels=n, low=np.zeros(3), high=np.array([0.1, size - SIZE - 1e-6, 0.0]))
     assert ClusterMap(SIZE).is_thing(component) == thing
 
 
