@@ -131,39 +131,42 @@ class ClusterMap:
         self._waiting.update(dict.fromkeys(map(tuple, block_ijk.tolist())))
 
     def update(
-        self, planes: PlaneMap, block_ijk: Array, stamp_ns: int, *, found: bool, named: Named | None = None,
-        views: int = 1,
+        self, planes: PlaneMap, moved: Array, stamp_ns: int, *, found: bool, named: Named | None = None,
+        in_view: Array | None = None, views: int = 1,
     ) -> ClusterChange:  # fmt: skip
-        """Look at the blocks (K, 3) of the surface that changed, and at those that wait.
+        """Look at the blocks `moved` (K, 3) whose surface is not as it was, and at those that wait.
 
-        found  whether surface where no cluster is founds one; otherwise what is known is followed
-        named  what has a name
-        views  how many images without labels this is worth
+        found    whether surface where no cluster is founds one; otherwise what is known is followed
+        named    what has a name
+        in_view  blocks (L, 3) of which something was seen; default `moved`
+        views    how many images without labels this is worth
         """
-        blocks = np.asarray(block_ijk, np.int32).reshape(-1, 3)
+        blocks = np.asarray(moved, np.int32).reshape(-1, 3)
+        if self._waiting:
+            self._wait(blocks)
+            blocks = np.array(list(self._waiting), np.int32).reshape(-1, 3)
+            self._waiting = {}
         if not found:
             blocks = blocks[self._store.find(blocks) >= 0] if self._store.n_blocks else blocks[:0]
-        n_seen = len(blocks)
-        if self._waiting:
-            fresh = dict.fromkeys(map(tuple, blocks.tolist()))
-            more = [key for key in self._waiting if key not in fresh]
-            self._waiting = {}
-            blocks = np.concatenate([blocks, np.array(more, np.int32).reshape(-1, 3)])
-            blocks = blocks if found else blocks[self._store.find(blocks) >= 0]
-        if not len(blocks):
-            return ClusterChange()
-        codes = self._codes(planes, blocks, named)
-        kept = codes.any(axis=1) | (self._store.find(blocks) >= 0)
-        seen = (np.arange(len(blocks)) < n_seen)[kept]
-        slots = self._store.allocate(blocks[kept])
-        change = self._follow(slots, codes[kept], stamp_ns)
-        kernels.find(self._store.fields["component"], slots[seen], self._marked)
+        change = ClusterChange()
+        if len(blocks):
+            codes = self._codes(planes, blocks, named)
+            kept = codes.any(axis=1) | (self._store.find(blocks) >= 0)
+            change = self._follow(self._store.allocate(blocks[kept]), codes[kept], stamp_ns)
+        return replace(change, seen=self._see(moved if in_view is None else in_view, stamp_ns, views))
+
+    def _see(self, block_ijk: Array, stamp_ns: int, views: int) -> frozenset[int]:
+        """Note that the components in blocks (K, 3) are in view; returns their ids."""
+        if not self.components:
+            return frozenset()
+        slots = self._store.find(block_ijk)
+        kernels.find(self._store.fields["component"], slots[slots >= 0], self._marked)
         in_view = frozenset(self._take_marked().tolist())
         for component_id in in_view:
             component = self.components[component_id]
             component.views += views
             component.last_seen_ns = max(component.last_seen_ns, stamp_ns)
-        return replace(change, seen=in_view)
+        return in_view
 
     def _codes(self, planes: PlaneMap, blocks: Array, named: Named | None) -> NDArray[np.uint8]:
         """(K, 512) what the voxels of blocks (K, 3) are."""

@@ -41,6 +41,8 @@ REGISTRATION_RANGE_M = 4.5
 """… where it measured less than this."""
 SWEEP_VIEWS = 4
 """A scan, which looks all around at once, is worth so many images."""
+MOVER_STEP = 2
+"""Every so many-th row and column is enough to tell where something that moves was."""
 MOVING_RIM_PX = 3
 """Masks of what moves are taken for so much larger: what they leave out, later views show anyway."""
 
@@ -51,6 +53,7 @@ class MapChange:
 
     T_map_camera  an image's pose as the map corrected it;  view   what it saw from there
     bare_views    how many images without labels the observation is worth, 0 where it has labels
+    movers        points (N, 3) [m] where an image whose depth was fused before shows what moves by itself
     """
 
     occupancy: Changed
@@ -61,6 +64,7 @@ class MapChange:
     T_map_camera: SE3 | None = None
     bare_views: int = 0
     view: DepthView | None = None
+    movers: Array = field(default_factory=lambda: np.empty((0, 3)))
 
 
 class LayeredMap:
@@ -190,7 +194,9 @@ class LayeredMap:
         """Add the labels of an image whose depth was fused before; `things` and `moving` as for `integrate_image`."""
         depth_m = image.depth_m if moving is None else self._still(image, T_map_camera, moving)
         instances = self._vote(image, depth_m, T_map_camera, things)
-        return replace(self.unchanged, instances=instances, moving=self._follow(image, T_map_camera, moving))
+        followed = self._follow(image, T_map_camera, moving)
+        movers = np.empty((0, 3)) if moving is None else _shown(image, T_map_camera, moving)
+        return replace(self.unchanged, instances=instances, moving=followed, movers=movers)
 
     @property
     def unchanged(self) -> MapChange:
@@ -244,6 +250,15 @@ class LayeredMap:
 def _registered_color(image: RgbdImage) -> Array | None:
     """The colour (H, W, 3) of each pixel of the depth image, where both come from one camera."""
     return image.color if image.T_depth_color is None and image.color_intrinsics is None else None
+
+
+def _shown(image: RgbdImage, T_map_camera: SE3, classes: Array) -> Array:
+    """Some of the points (N, 3) [m] of an image that have a label of these classes (65536,) bool."""
+    if image.labels is None or not classes.any():
+        return np.empty((0, 3))
+    some = (slice(None, None, MOVER_STEP),) * 2
+    mask = classes[image.labels[some]] & (image.depth_m[some] > 0.0)
+    return T_map_camera @ (image.intrinsics.rays()[some][mask] * image.depth_m[some][mask][:, None])
 
 
 def beside(mask: Array, pixels: int) -> Array:

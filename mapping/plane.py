@@ -65,8 +65,10 @@ class PlaneSummary:
 
 @dataclass(frozen=True)
 class PlaneChange:
-    """What an update did: ids of planes that are new or changed, ids that vanished, and vanished id → merged into."""
+    """What an update did: ids of planes that are new or changed, ids that vanished, and vanished id → merged into; and
+    the blocks `moved` (K, 3) of the surface that are not as they were."""
 
     changed: tuple[int, ...] = ()
     deleted: tuple[int, ...] = ()
     merged: Mapping[int, int] = field(default_factory=dict)
+    moved: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 3), np.int32), compare=False)

@@ -240,7 +240,7 @@ class PlaneMap:
         if not len(block_ijk):
             return PlaneChange()
         points, normals, owner = _by_block(*surface.surface(block_ijk))
-        old, slot_of, old_owner = self._pieces.samples_in(block_ijk.tolist())
+        old, _, slot_of, old_owner = self._pieces.samples_in(block_ijk.tolist())
         same = np.empty(len(block_ijk), np.bool_)
         kernels.find_unmoved(same, points, owner, old, old_owner, _UNMOVED * self.voxel_size_m)
         seen = {self._id_of[slot] for slot in np.unique(slot_of[same[old_owner]]).tolist() if slot in self._id_of}
@@ -249,7 +249,8 @@ class PlaneMap:
         moved = ~same[owner]
         number = np.cumsum(~same) - 1
         change = self._replace(block_ijk[~same], points[moved], normals[moved], number[owner[moved]])
-        return replace(change, changed=tuple(sorted((seen - set(change.deleted)).union(change.changed))))
+        changed = tuple(sorted((seen - set(change.deleted)).union(change.changed)))
+        return replace(change, changed=changed, moved=block_ijk[~same])
 
     def replace(self, block_ijk: Array, points: Array, normals: Array, block_of_point: Array) -> PlaneChange:
         """Set the samples of the blocks (K, 3): points and normals (N, 3), and the row of `block_ijk` of each (N,)."""

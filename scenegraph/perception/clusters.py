@@ -124,9 +124,13 @@ class Clusters:
                 if node_id in self._shapes:
                     clusters.look_again(self._shapes[node_id].points)
         change = clusters.update(
-            planes, seen.tsdf.blocks, stamp_ns, found=seen.bare_views > 0, views=seen.bare_views,
-            named=self._naming(map_, things),
+            planes, seen.planes.moved, stamp_ns, found=seen.bare_views > 0, views=seen.bare_views,
+            named=self._naming(map_, things), in_view=seen.tsdf.blocks,
         )  # fmt: skip
+        if len(seen.movers) and len(clusters):
+            shown = clusters.covered(seen.movers)
+            self._dismissed.update(i for i, n in shown.items() if n >= TAKES_SHARE * clusters.components[i].n_voxels)
+            self._again.update(shown)
         self._follow(change, clusters, planes, graph, changes, reshaped)
         return changes, reshaped
 
