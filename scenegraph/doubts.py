@@ -33,6 +33,12 @@ class Doubts:
             if CONTRARY in edge.attributes:
                 self._doubt(edge.key)
 
+    def forget(self, things: Iterable[str]) -> None:
+        """What was doubted of things that are no more is settled: their edges go with them."""
+        for thing in things:
+            for key in list(self._at.get(thing, ())):
+                self._settle(key)
+
     def weigh(
         self,
         failing: Set[EdgeKey],

@@ -122,6 +122,7 @@ class Meaning:
         looked_at, derived = self.knowledge.derived_edges(asked) if asked else ([], [])
         failing = self._bring_edges_in_step(changes, looked_at, derived, graph, source, stamp_ns)
         failing = {key for key in failing if gone.isdisjoint(key[1:])}
+        self._doubts.forget(gone)
         self._doubts.weigh(failing, derived, None if seen is None else seen - gone, graph, nodes, changes)
         self._type_rooms(changes, nodes, gone, graph)
 

@@ -81,6 +81,14 @@ class Boxes:
                     held |= self._tracks.tracks[track_id].box.holds(points, self._beside_m)
         return held
 
+    def thing_at(self, shape: Shape) -> str | None:
+        """The thing of voxels, if there is one, in whose box the middle of a shape lies."""
+        for node_id in self._others.within(shape.bounds, 0.0):
+            other = self._shapes.get(node_id)
+            if other is not None and other.box.contains(shape.box.center[None], self._beside_m)[0]:
+                return node_id
+        return None
+
     # -- change -------------------------------------------------------------------------------------------
     def update(
         self,

@@ -55,6 +55,7 @@ class Clusters:
     shapes, labels  of all things, by node id; those of clusters are written here too
     is_named        instance ids (N,) → (N,) bool: whether they are nodes already
     in_a_box        points (N, 3) [m] → (N,) bool: whether they lie in a box that was detected
+    thing_at        a shape → the node of a thing with a name in which it lies
     """
 
     def __init__(
@@ -63,11 +64,13 @@ class Clusters:
         labels: dict[str, str],
         is_named: Callable[[Array], Array],
         in_a_box: Callable[[Array], Array],
+        thing_at: Callable[[Shape], str | None],
     ) -> None:
         self._shapes = shapes
         self._labels = labels
         self._is_named = is_named
         self._in_a_box = in_a_box
+        self._thing_at = thing_at
         self._node_of: dict[int, str] = {}
         self._measured: dict[int, tuple[int, Array, Array]] = {}
         self._told: dict[str, Node] = {}
@@ -178,6 +181,8 @@ class Clusters:
             self._dismissed.discard(component_id)
         if node_id is None:
             return
+        shape = self._shapes.get(node_id)
+        heir = heir or (None if shape is None else self._thing_at(shape))
         self._drop(node_id)
         reason = "the same thing as another" if heir else "no longer seen" if gone else "found to be no single thing"
         changes.delete_node(node_id, reason, became=heir)

@@ -58,7 +58,7 @@ class Perception:
         shapes, names = self.objects.shapes, self.objects.labels
         beside_m = BESIDE_VOXELS * map_.tsdf.voxel_size_m
         self.boxes = Boxes(shapes, names, meaning.is_structural, map_.instances.voxel_size_m, beside_m)
-        self.clusters = Clusters(shapes, names, self.objects.is_node, self.boxes.holds)
+        self.clusters = Clusters(shapes, names, self.objects.is_node, self.boxes.holds, self.boxes.thing_at)
         self.objects.inherited = self._known_as
         self.rooms = Rooms()
         self.passages = Passages()
