@@ -430,6 +430,33 @@ def export(
 
 
 @app.command()
+def join(
+    ours: Annotated[Path, typer.Argument(help="A stored world, or a graph in a file; its ids stay.")],
+    theirs: Annotated[Path, typer.Argument(help="Another of the same place, by another robot or in another session.")],
+    output: Annotated[Path, typer.Option(help="The file to write the joined graph to, as our JSON.")],
+    name: Annotated[str, typer.Option(help="What theirs is called: new ids end in it.")] = "theirs",
+    same_map: Annotated[bool, typer.Option("--same-map", help="Both are in one map frame: look for none.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Make two graphs of one place one. Where theirs lies in ours is found from the things in both."""
+    from mapping.geometry import SE3
+    from scenegraph.importing import graph_in
+    from scenegraph.interop import export_graph
+    from scenegraph.joining import join as joined
+
+    printer = Printer(json=as_json)
+    graph, other = graph_in(ours), graph_in(theirs)
+    changes, report = joined(graph, other, SE3.identity() if same_map else None, name=name)
+    graph.commit(changes, max(graph.stamp_ns, other.stamp_ns))
+    export_graph(graph, "json", output)
+    if as_json:
+        printer.document({"output": str(output), **report.as_json()})
+    else:
+        printer.joined(report)
+        printer.line(f"wrote {output}: {len(graph)} nodes, {graph.n_edges} edges")
+
+
+@app.command()
 def schema(
     output: Annotated[Path | None, typer.Option(help="Write to this file instead of the terminal.")] = None,
     as_json: Json = False,

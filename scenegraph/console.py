@@ -177,6 +177,26 @@ class Printer:
         ]
         self.table("events", ("at [s]", "what", "node", "class", "from", "where", "other", "why"), rows)
 
+    def joined(self, report: Any) -> None:
+        """What became of two graphs that were joined."""
+        found = report.alignment
+        if found is not None:
+            x, y, z = report.T_ours_theirs.translation
+            turn = math.degrees(report.T_ours_theirs.log()[5])
+            self.line(
+                f"theirs lies at ({x:.2f}, {y:.2f}, {z:.2f}) m, turned by {turn:.1f}°: {found.joined} of {found.of} "
+                f"things fit, {1e3 * found.rms_m:.0f} mm apart; the next best way fits {found.runner_up}"
+            )
+        pairs = [(j.layer, j.ours, j.theirs, j.reason, j.kept) for j in report.joined if j.layer in ("room", "object")]
+        self.table("joined", ("layer", "ours", "theirs", "why", "kept"), pairs)
+        if report.conflicts:
+            rows = [(c.kind, c.node, c.ours, c.theirs, c.stays, c.why) for c in report.conflicts]
+            self.table("conflicts", ("of", "node", "ours", "theirs", "stays", "why"), rows)
+        self.line(
+            f"{len(report.joined)} nodes joined, {len(report.added)} added; edges: {report.edges_added} added, "
+            f"{report.edges_shared} in both, {report.edges_dropped} left out"
+        )
+
     def checks(self, checks: Iterable[Any]) -> None:
         """The machine, one check a line, and what to install."""
         rows = [

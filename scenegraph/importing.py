@@ -12,11 +12,12 @@ from scenegraph import facts
 from scenegraph.answers import Answers
 from scenegraph.graph import SceneGraph
 from scenegraph.interop import read_graph
+from scenegraph.store import load_graph
 
 if TYPE_CHECKING:
     from scenegraph.world import World
 
-__all__ = ["GraphFile", "open_map"]
+__all__ = ["GraphFile", "graph_in", "open_map"]
 
 
 class GraphFile:
@@ -71,6 +72,11 @@ def open_map(path: Path) -> World | GraphFile:
     from scenegraph.world import World
 
     return GraphFile.load(path) if _is_text(path) else World.load(path)
+
+
+def graph_in(path: Path) -> SceneGraph:
+    """The graph of a stored world, or one of another format. Raises StoreError, GraphUnreadable."""
+    return read_graph(path) if _is_text(path) else load_graph(path)
 
 
 def _is_text(path: Path) -> bool:

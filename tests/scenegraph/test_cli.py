@@ -25,7 +25,7 @@ from scenegraph.graph import Node, SceneGraph
 from scenegraph.simulation import NoiseModel
 
 COMMANDS = """
-    demo serve replay simulate ask where tell evaluate status export schema doctor
+    demo serve replay simulate ask where tell evaluate status export join schema doctor
 """.split()  # noqa: SIM905
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapping.geometry import SE3
+from scenegraph.cli import app
 from scenegraph.errors import InvalidGraphValue, JoinRefused
 from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
+from scenegraph.interop import export_graph, read_graph
 from scenegraph.joining import JoinReport, join
+from scenegraph.store import save_graph
 from tests.support.furnished import furnished, seen_by_another, turned
 from tests.support.graphs import graphs
 
@@ -299,3 +303,27 @@ def test_two_different_homes_are_not_laid_on_one_another(one: int, other: int) -
 def test_a_bad_name_is_refused() -> None:
     with pytest.raises(InvalidGraphValue, match="join: name: expected"):
         join(world(), world(), SE3.identity(), name="Spot 1")
+
+
+# -- by command ------------------------------------------------------------------------------------------------------
+
+
+def test_two_files_are_joined_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    home = furnished(8)
+    ours, _ = seen_by_another(home, 9)
+    theirs, _ = seen_by_another(home, 10, T_map_home=turned(1.0, 3.0, -2.0))
+    save_graph(tmp_path / "ours.world", ours)
+    export_graph(theirs, "spark_dsg", tmp_path / "theirs.json")
+    files = [str(tmp_path / name) for name in ("ours.world", "theirs.json")]
+    words = ["join", *files, "--output", str(tmp_path / "both.json"), "--name", "spot"]
+    assert app(words, standalone_mode=False) == 0
+    assert "things fit" in capsys.readouterr().out.replace("\n", " ")
+    assert app([*words, "--json"], standalone_mode=False) == 0
+    told = json.loads(capsys.readouterr().out)
+    expected, report = joined(ours, theirs, name="spot")
+    both = read_graph(tmp_path / "both.json")
+    assert {node.id for node in both} == {node.id for node in expected}
+    assert {edge.key for edge in both.edges()} == {edge.key for edge in expected.edges()}
+    assert told["alignment"]["joined"] == report.alignment.joined
+    assert app(["join", files[0], files[0], "--output", files[1], "--same-map", "--json"], standalone_mode=False) == 0
+    assert read_graph(files[1]) == ours
