@@ -4,7 +4,7 @@ wire."""
 from scenegraph.graph.compact import pack, unpack
 from scenegraph.graph.delta import Delta, EdgeChanges, GraphChanges, NodeChanges, Snapshot
 from scenegraph.graph.edge import Edge, EdgeKey
-from scenegraph.graph.history import History
+from scenegraph.graph.history import History, Life
 from scenegraph.graph.mirror import Mirror
 from scenegraph.graph.node import LAYERS, Box, Layer, Node, Tombstone
 from scenegraph.graph.scene_graph import SceneGraph
@@ -23,6 +23,7 @@ __all__ = [
     "GraphChanges",
     "History",
     "Layer",
+    "Life",
     "Mirror",
     "Node",
     "NodeChanges",

@@ -11,7 +11,26 @@ from scenegraph.errors import HistoryUnavailable, InvalidGraphValue
 from scenegraph.graph.edge import Edge, EdgeKey
 from scenegraph.graph.node import Node, Tombstone
 
-__all__ = ["Change", "History", "Undo"]
+__all__ = ["Change", "History", "Life", "Undo"]
+
+
+@dataclass(frozen=True, slots=True)
+class Life:
+    """When a node or an edge was seen, and when it was part of the graph, as far as that is remembered.
+
+    first_seen_ns, last_seen_ns : as its latest state says
+    spans : (from, to) stamps, oldest first, between which it was in the graph; from is None where it was there when the
+        remembered past began, to is None where it is there now
+    """
+
+    first_seen_ns: int
+    last_seen_ns: int
+    spans: tuple[tuple[int | None, int | None], ...]
+
+    @property
+    def lives(self) -> bool:
+        """Whether it is in the graph now."""
+        return self.spans[-1][1] is None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +108,29 @@ class History:
                 hint="ask for a later time, or keep a longer history (history_limit)",
             )
         return steps
+
+    def life(self, item: str | EdgeKey, now: Node | Edge | None) -> Life | None:
+        """The life of a node or edge that is now as given; None when it is not there and was not, that is remembered.
+
+        Costs a look at every remembered commit.
+        """
+        latest, after, until = now, now, None
+        spans: list[tuple[int | None, int | None]] = []
+        for undo in reversed(self._steps):
+            touched = undo.before.nodes if isinstance(item, str) else undo.before.edges
+            if item not in touched:
+                continue
+            before: Node | Edge | None = touched[item]  # type: ignore[index]
+            if before is None and after is not None:
+                spans.append((undo.stamp_ns, until))
+            elif before is not None and after is None:
+                until = undo.stamp_ns
+            after, latest = before, latest if latest is not None else before
+        if after is not None:
+            spans.append((None, until))
+        if latest is None:
+            return None
+        return Life(latest.first_seen_ns, latest.last_seen_ns, tuple(reversed(spans)))
 
     def document(self) -> list[dict[str, Any]]:
         """The history as JSON values, oldest first (`from_document` reads it)."""

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scenegraph.errors import InvalidGraphValue, InvariantViolated, RevisionGap, UnknownNode, nearest
 from scenegraph.graph.delta import Delta, EdgeChanges, GraphChanges, NodeChanges, NodeDeletion, Snapshot
 from scenegraph.graph.edge import Edge, EdgeKey
-from scenegraph.graph.history import Change, History, Undo
+from scenegraph.graph.history import Change, History, Life, Undo
 from scenegraph.graph.index import GraphIndex
 from scenegraph.graph.invariants import check_edges_have_ends, check_layers_stay, check_no_edge_is_left
 from scenegraph.graph.node import Layer, Node, Tombstone
@@ -362,6 +362,21 @@ class SceneGraph:
             graph._revision = undo.revision - 1
             graph._stamp_ns = undo.previous_stamp_ns
         return graph
+
+    def life(self, item: str | tuple[str, str, str]) -> Life:
+        """When a node, or an edge (relation, source, target), was seen and was part of the graph.
+
+        Raises UnknownNode when nothing of that name is there, nor was in the remembered past.
+        """
+        if isinstance(item, str):
+            found = self._history.life(item, self._index.nodes.get(item))
+        else:
+            found = self._history.life(EdgeKey(*item), self._index.edge(*item))
+        if found is None:
+            name = repr(item) if isinstance(item, str) else f"{item[0]}({item[1]}, {item[2]})"
+            hint = self._hint(item) if isinstance(item, str) else None
+            raise UnknownNode(f"nothing is called {name}, nor was in the remembered past", hint=hint)
+        return found
 
     def snapshot(self) -> Snapshot:
         """The whole graph as one value."""

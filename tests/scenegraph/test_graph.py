@@ -1,5 +1,6 @@
 """The scene graph: reading, committing, following, and the past."""
 
+import contextlib
 from collections import deque
 
 import pytest
@@ -7,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scenegraph.errors import DanglingEdge, HistoryUnavailable, InvariantViolated, RevisionGap, UnknownNode
-from scenegraph.graph import Delta, Edge, GraphChanges, History, Mirror, Node, SceneGraph, Snapshot, Tombstone
+from scenegraph.graph import Delta, Edge, GraphChanges, History, Life, Mirror, Node, SceneGraph, Snapshot, Tombstone
 
 IDS = [f"object_{i}" for i in range(5)] + ["room_0"]
 RELATIONS = ["on", "near"]
@@ -344,6 +345,40 @@ def consistent(graph: SceneGraph) -> bool:
         and {n.id for label in graph.labels() for n in graph.nodes(label=label)} == {n.id for n in graph}
         and not any(stone.id in graph for stone in graph.tombstones())
     )
+
+
+@settings(max_examples=80, deadline=None)
+@given(histories)
+def test_a_life_spans_the_moments_at_which_it_was_there(history: list[tuple[list, int]]) -> None:
+    graph = SceneGraph()
+    moments: list[tuple[int, set[object]]] = []
+    for number, (steps_of_one, _) in enumerate([([node(i) for i in IDS], 0), *history]):
+        for step in steps_of_one:
+            with contextlib.suppress(DanglingEdge, UnknownNode, InvariantViolated):
+                graph.commit(changes(step), number)
+        moments.append((number, {n.id for n in graph} | {e.key for e in graph.edges()}))
+    reread = SceneGraph.from_snapshot(graph.snapshot(), history=graph.history.document())
+    for item in set().union(*(there for _, there in moments)):
+        life = graph.life(item)  # type: ignore[arg-type]
+        assert life == reread.life(item)  # type: ignore[arg-type]
+        assert life.lives == (item in graph)
+        assert all(start is not None for start, _ in life.spans)  # everything began in the remembered past
+        for moment, there in moments:
+            inside = any(start <= moment and (end is None or moment < end) for start, end in life.spans)  # type: ignore[operator]
+            assert inside == (item in there)
+
+
+def test_a_life_that_began_before_the_remembered_past_has_no_beginning() -> None:
+    graph = SceneGraph.from_snapshot(kitchen().snapshot())
+    graph.commit(changes(("object_0",)), 20)
+    graph.commit(changes(node("object_0", seen=7)), 30)
+    assert graph.life("object_1") == Life(0, 1, ((None, None),))
+    assert graph.life("object_0") == Life(0, 7, ((None, 20), (30, None)))
+    assert graph.life(("on", "object_0", "object_1")) == Life(0, 1, ((None, 20),))
+    assert not graph.life(("on", "object_0", "object_1")).lives
+    for unknown in ("object_9", ("on", "object_1", "object_0")):
+        with pytest.raises(UnknownNode):
+            graph.life(unknown)
 
 
 @settings(max_examples=150, deadline=None)
