@@ -5,6 +5,7 @@ from scenegraph.graph.compact import pack, unpack
 from scenegraph.graph.delta import Delta, EdgeChanges, GraphChanges, NodeChanges, Snapshot
 from scenegraph.graph.edge import Edge, EdgeKey
 from scenegraph.graph.history import History, Life
+from scenegraph.graph.index import Nearby
 from scenegraph.graph.mirror import Mirror
 from scenegraph.graph.node import LAYERS, Box, Layer, Node, Tombstone
 from scenegraph.graph.scene_graph import SceneGraph
@@ -25,6 +26,7 @@ __all__ = [
     "Layer",
     "Life",
     "Mirror",
+    "Nearby",
     "Node",
     "NodeChanges",
     "NodeTable",

@@ -6,6 +6,7 @@ decimals are kept as whole numbers of them.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,7 +18,7 @@ from scenegraph.graph.history import History
 from scenegraph.graph.node import LAYERS, Tombstone
 from scenegraph.graph.scene_graph import SceneGraph
 from scenegraph.graph.tables import EdgeTable, NodeTable
-from scenegraph.graph.values import plain_attributes, valid_identifier
+from scenegraph.graph.values import plain_attributes
 
 __all__ = ["pack", "unpack"]
 
@@ -48,6 +49,7 @@ _EDGE_COLUMNS = {
 }
 _TWINS = {"center": "position", "last_seen_ns": "first_seen_ns"}
 """Columns that are left out where they are the same as an earlier one."""
+_IDS = re.compile(r"[a-z][a-z0-9_]{0,127}(?:\n[a-z][a-z0-9_]{0,127})*+")
 _DECIMALS = 5
 _NONE = np.iinfo(np.int32).min
 
@@ -84,7 +86,7 @@ def unpack(arrays: Mapping[str, Array], document: Mapping[str, Any], *, history_
         n, m = int(document["n_nodes"]), int(document["n_edges"])
         text = arrays["ids"].tobytes().decode()
         ids = tuple(text.split("\n")) if text else ()
-        if len(ids) != n or not all(map(valid_identifier, ids)):
+        if len(ids) != n or (text and not _IDS.fullmatch(text)):
             raise ValueError(f"expected {n} ids, got {len(ids)} or what is none")
         nodes = NodeTable(
             ids=ids,

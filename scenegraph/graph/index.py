@@ -6,8 +6,8 @@ value beside it, and crosses out the row that it replaces.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Self
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Self, overload
 
 import numpy as np
 
@@ -16,11 +16,53 @@ from scenegraph.graph.node import LAYERS, Node
 from scenegraph.graph.stored_edges import StoredEdges
 from scenegraph.graph.tables import EdgeTable, NodeTable
 
-__all__ = ["GraphIndex", "NodeIndex"]
+__all__ = ["GraphIndex", "Nearby", "NodeIndex"]
 
 _ByPair = dict[tuple[str, str], Edge]
 _ByEnd = dict[str, dict[str, dict[str, Edge]]]  # one end -> relation -> the other end -> edge
 _Names = dict[str, dict[str, None]]
+
+
+class Nearby(Sequence[tuple[Node, float]]):
+    """Nodes by their distance, nearest first, as `(node, distance)` [m]; a node is made when it is looked at.
+
+    ids, distances : of all of them, at once
+    """
+
+    def __init__(self, nodes: Sequence[Node | int], table: NodeTable | None, distances: list[float]) -> None:
+        """nodes: values, or rows of the table."""
+        self._nodes, self._table = nodes, table
+        self.distances = tuple(distances)
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        rows = () if self._table is None else self._table.ids
+        return tuple(rows[node] if isinstance(node, int) else node.id for node in self._nodes)
+
+    def __len__(self) -> int:
+        return len(self.distances)
+
+    @overload
+    def __getitem__(self, at: int) -> tuple[Node, float]: ...
+    @overload
+    def __getitem__(self, at: slice) -> Nearby: ...
+    def __getitem__(self, at: int | slice) -> tuple[Node, float] | Nearby:
+        if isinstance(at, slice):
+            return Nearby(self._nodes[at], self._table, list(self.distances[at]))
+        node = self._nodes[at]
+        if isinstance(node, int):
+            assert self._table is not None
+            node = self._table[node]
+        return node, self.distances[at]
+
+    def __iter__(self) -> Iterator[tuple[Node, float]]:
+        rows = np.array([node for node in self._nodes if isinstance(node, int)], np.int64)
+        made = iter(() if self._table is None else self._table.rows(rows))
+        nodes = (next(made) if isinstance(node, int) else node for node in self._nodes)
+        return zip(nodes, self.distances, strict=True)
+
+    def __repr__(self) -> str:
+        return f"Nearby({', '.join(f'{i}: {d:.2f} m' for i, d in zip(self.ids, self.distances, strict=True))})"
 
 
 class NodeIndex(Mapping[str, Node]):
@@ -65,6 +107,11 @@ class NodeIndex(Mapping[str, Node]):
                     made[slot] = node
                 self._n_unmade -= len(missing)
         return [self._made[slot] for slot in slots]  # type: ignore[misc]
+
+    def nearby(self, slots: list[int], distances: list[float]) -> Nearby:
+        """The nodes in these slots as they are now, not yet made, and their distances."""
+        made = self._made
+        return Nearby([slot if made[slot] is None else made[slot] for slot in slots], self.table, distances)  # type: ignore[misc]
 
     def is_made(self, slot: int) -> bool:
         """Whether the node in a slot is a value already, rather than a row of the table."""

@@ -13,7 +13,7 @@ from scenegraph.errors import InvalidGraphValue, InvariantViolated, RevisionGap,
 from scenegraph.graph.delta import Delta, EdgeChanges, GraphChanges, NodeChanges, NodeDeletion, Snapshot
 from scenegraph.graph.edge import Edge, EdgeKey
 from scenegraph.graph.history import Change, History, Life, Undo
-from scenegraph.graph.index import GraphIndex
+from scenegraph.graph.index import GraphIndex, Nearby
 from scenegraph.graph.invariants import check_edges_have_ends, check_layers_stay, check_no_edge_is_left
 from scenegraph.graph.node import Layer, Node, Tombstone
 from scenegraph.graph.spatial import SpatialIndex
@@ -68,8 +68,8 @@ class SceneGraph:
         """Every edge that begins or ends at the node."""
         return list(self._index.edges_of(node_id))
 
-    def within(self, p_map: ArrayLike, radius_m: float, layer: Layer | None = None) -> list[tuple[Node, float]]:
-        """The nodes within reach of a point (3,) [m], and how far off they are, nearest first.
+    def within(self, p_map: ArrayLike, radius_m: float, layer: Layer | None = None) -> Nearby:
+        """The nodes within reach of a point (3,) [m] with their distances, nearest first: `for node, distance in …`.
 
         The distance is that to the oriented box, 0 inside; a node without a box is a point. The cost depends on what
         is there; the first question of this kind builds an index that every change then keeps.
@@ -78,7 +78,7 @@ class SceneGraph:
         if p.shape != (3,) or not np.isfinite(p).all() or not radius_m >= 0.0:
             raise InvalidGraphValue(f"within: expected a point (3,) and a radius ≥ 0, got {p_map!r} and {radius_m!r}")
         slots, distances = self._places.within(p, radius_m, layer)
-        return list(zip(self._index.nodes.many(slots), distances, strict=True))
+        return self._index.nodes.nearby(slots, distances)
 
     def in_box(self, low: ArrayLike, high: ArrayLike, layer: Layer | None = None) -> list[Node]:
         """The nodes whose oriented boxes have a point between two corners (3,) [m]; the cost is that of `within`."""

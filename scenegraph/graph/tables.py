@@ -203,33 +203,26 @@ class NodeTable(_Table[Node]):
 
     def rows(self, rows: NDArray[np.integer[Any]]) -> list[Node]:
         """The nodes of these rows, in order."""
+        numbers, attributes = rows.tolist(), self.attributes
         boxed = self.boxed[rows]
-        boxes = (
-            Box.trusted({"center": center, "size": size, "rotation_wxyz": rotation}) if has else None
-            for has, center, size, rotation in zip(
-                boxed.tolist(),
-                _frozen(self.center[rows]),
-                _frozen(self.size[rows]),
-                _frozen(self.rotation_wxyz[rows]),
-                strict=True,
-            )
-        )
-        numbers = rows.tolist()
-        attributes = self.attributes
-        return [
-            Node.trusted(
-                {
-                    "id": self.ids[n],
-                    "layer": LAYERS[layer],
-                    "label": self.labels[label],
-                    "position": position,
-                    "box": box,
-                    "confidence": confidence,
-                    "first_seen_ns": first,
-                    "last_seen_ns": last,
-                    "attributes": attributes.get(n, _NO_ATTRIBUTES),
-                }
-            )
+        corners = (_frozen(column[rows]) for column in (self.center, self.size, self.rotation_wxyz))
+        boxes: list[Box | None] = [
+            *Box.trusted({"center": c, "size": s, "rotation_wxyz": r} for c, s, r in zip(*corners, strict=True))
+        ]
+        if not boxed.all():
+            boxes = [box if has else None for box, has in zip(boxes, boxed.tolist(), strict=True)]
+        return Node.trusted(
+            {
+                "id": self.ids[n],
+                "layer": LAYERS[layer],
+                "label": self.labels[label],
+                "position": position,
+                "box": box,
+                "confidence": confidence,
+                "first_seen_ns": first,
+                "last_seen_ns": last,
+                "attributes": attributes.get(n, _NO_ATTRIBUTES),
+            }
             for n, layer, label, position, box, confidence, first, last in zip(
                 numbers,
                 self.layer[rows].tolist(),
@@ -241,7 +234,7 @@ class NodeTable(_Table[Node]):
                 self.last_seen_ns[rows].tolist(),
                 strict=True,
             )
-        ]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -391,21 +384,19 @@ class EdgeTable(_Table[Edge]):
     def rows(self, rows: NDArray[np.integer[Any]]) -> list[Edge]:
         """The edges of these rows, in order."""
         ids, attributes = self.ids, self.attributes
-        return [
-            Edge.trusted(
-                {
-                    "relation": self.relations[relation],
-                    "source": ids[source],
-                    "target": ids[target],
-                    "value": None if value != value else value,
-                    "threshold": None if threshold != threshold else threshold,
-                    "confidence": confidence,
-                    "evidence": self.evidence[evidence],
-                    "first_seen_ns": first,
-                    "last_seen_ns": last,
-                    "attributes": attributes.get(n, _NO_ATTRIBUTES) if attributes else _NO_ATTRIBUTES,
-                }
-            )
+        return Edge.trusted(
+            {
+                "relation": self.relations[relation],
+                "source": ids[source],
+                "target": ids[target],
+                "value": None if value != value else value,
+                "threshold": None if threshold != threshold else threshold,
+                "confidence": confidence,
+                "evidence": self.evidence[evidence],
+                "first_seen_ns": first,
+                "last_seen_ns": last,
+                "attributes": attributes.get(n, _NO_ATTRIBUTES) if attributes else _NO_ATTRIBUTES,
+            }
             for n, relation, source, target, value, threshold, confidence, evidence, first, last in zip(
                 rows.tolist(),
                 self.relation[rows].tolist(),
@@ -419,24 +410,23 @@ class EdgeTable(_Table[Edge]):
                 self.last_seen_ns[rows].tolist(),
                 strict=True,
             )
-        ]
+        )
 
     def _row(self, n: int) -> Edge:
         value, threshold = float(self.value[n]), float(self.threshold[n])
-        return Edge.trusted(
-            {
-                "relation": self.relations[self.relation[n]],
-                "source": self.ids[self.source[n]],
-                "target": self.ids[self.target[n]],
-                "value": None if value != value else value,
-                "threshold": None if threshold != threshold else threshold,
-                "confidence": float(self.confidence[n]),
-                "evidence": self.evidence[self.evidence_of[n]],
-                "first_seen_ns": int(self.first_seen_ns[n]),
-                "last_seen_ns": int(self.last_seen_ns[n]),
-                "attributes": self.attributes.get(n, _NO_ATTRIBUTES),
-            }
-        )
+        fields = {
+            "relation": self.relations[self.relation[n]],
+            "source": self.ids[self.source[n]],
+            "target": self.ids[self.target[n]],
+            "value": None if value != value else value,
+            "threshold": None if threshold != threshold else threshold,
+            "confidence": float(self.confidence[n]),
+            "evidence": self.evidence[self.evidence_of[n]],
+            "first_seen_ns": int(self.first_seen_ns[n]),
+            "last_seen_ns": int(self.last_seen_ns[n]),
+            "attributes": self.attributes.get(n, _NO_ATTRIBUTES),
+        }
+        return Edge.trusted([fields])[0]
 
 
 # -- columns ----------------------------------------------------------------------------------------------------------

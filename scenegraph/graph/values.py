@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from functools import cache
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, NoReturn, Self
 
 import numpy as np
@@ -24,7 +23,10 @@ from scenegraph.errors import InvalidGraphValue, one_line, shown
 
 __all__ = ["Attributes", "Identifier", "Quaternion", "Value", "Vector3", "plain_attributes", "valid_identifier"]
 
-_set = object.__setattr__
+_set_dict = object.__setattr__
+_set_fields, _set_extra, _set_private = (
+    vars(BaseModel)[f"__pydantic_{name}__"].__set__ for name in ("fields_set", "extra", "private")
+)
 _IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*")
 
 Identifier = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_length=128)]
@@ -34,11 +36,6 @@ Identifier = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_
 def valid_identifier(text: str) -> bool:
     """Whether `text` can be an id or the name of a relation."""
     return len(text) <= 128 and _IDENTIFIER.fullmatch(text) is not None
-
-
-@cache
-def _fields(kind: type[BaseModel]) -> set[str]:
-    return set(kind.model_fields)
 
 
 class Value(BaseModel):
@@ -65,14 +62,17 @@ class Value(BaseModel):
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # values inside values skip the detour above
 
     @classmethod
-    def trusted(cls, fields: dict[str, Any]) -> Self:
-        """The value of these fields: all of them, checked before and of their final types. Takes the dict over."""
-        value = cls.__new__(cls)
-        _set(value, "__dict__", fields)
-        _set(value, "__pydantic_fields_set__", _fields(cls))
-        _set(value, "__pydantic_extra__", None)
-        _set(value, "__pydantic_private__", None)
-        return value
+    def trusted(cls, many: Iterable[dict[str, Any]]) -> list[Self]:
+        """The values of these fields: all of them, checked before and of their final types. Takes the dicts over."""
+        values, new, all_fields = [], cls.__new__, set(cls.model_fields)
+        for fields in many:
+            value = new(cls)
+            _set_dict(value, "__dict__", fields)
+            _set_fields(value, all_fields)
+            _set_extra(value, None)
+            _set_private(value, None)
+            values.append(value)
+        return values
 
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> Self:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from scenegraph.errors import InvalidGraphValue, InvariantViolated, SceneGraphError
 from scenegraph.graph import Box, Edge, EdgeTable, GraphChanges, Node, NodeTable, SceneGraph, pack, unpack
-from tests.scenegraph.test_graph import changes, consistent, histories, keys, kitchen
+from tests.scenegraph.test_graph import changes, consistent, histories, keys, kitchen, node
 from tests.support.many_boxes import building
 
 
@@ -243,6 +243,8 @@ def test_what_is_found_by_place_is_what_a_look_at_all_finds(
             assert {n.id for n, _ in found} <= {i for i, d in expected.items() if d <= radius + 1e-9}
             assert [d for _, d in found] == sorted(d for _, d in found)
             assert all(d == pytest.approx(expected[n.id], abs=1e-9) for n, d in found)
+            assert [(n.id, d) for n, d in found] == list(zip(found.ids, found.distances, strict=True))
+            assert [found[k] for k in range(len(found))] == list(found) == [*found[:2], *found[2:]]
         low, high = p - radius / 3, p + radius / 2
         inside = {
             n.id
@@ -261,8 +263,15 @@ def test_a_past_graph_is_found_by_place_as_it_was() -> None:
     graph = kitchen()
     assert [n.id for n, _ in graph.within((2, 0, 0), 0.5)] == ["object_2"]
     graph.commit(changes(Node(**{**graph.node("object_2").__dict__, "position": (9, 0, 0)})), 20)
-    assert graph.within((2, 0, 0), 0.5) == []
+    assert list(graph.within((2, 0, 0), 0.5)) == []
     assert [n.id for n, _ in graph.as_of(10).within((2, 0, 0), 0.5)] == ["object_2"]
+
+
+def test_what_was_found_stays_as_it_was() -> None:
+    graph = from_tables(kitchen())
+    found = graph.within((0, 0, 0), 1.5)
+    graph.commit(changes(node("object_0", 5), ("object_1",), node("object_3", 1)), 20)
+    assert [(n.id, n.position[0], d) for n, d in found] == [("object_0", 0, 0), ("room_0", 0, 0), ("object_1", 1, 1)]
 
 
 def test_a_far_place_is_found_too() -> None:
@@ -270,7 +279,7 @@ def test_a_far_place_is_found_too() -> None:
     far = (1e12, -1e12, 1e9)
     graph.commit(changes(Node(id="a", layer="object", label="x", position=far, first_seen_ns=0, last_seen_ns=0)), 1)
     assert [n.id for n, _ in graph.within(far, 1.0)] == ["a"]
-    assert graph.within((0, 0, 0), 1e6) == []
+    assert not graph.within((0, 0, 0), 1e6)
     assert len(graph.within((0, 0, 0), 1e13)) == 1
 
 
