@@ -8,6 +8,7 @@ meets that of the other.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, TypeAlias
@@ -50,6 +51,8 @@ NOTICED_M = 0.1
 FLOOR_SHARE = 0.5
 """A place can be driven on when this share of the floor about it was seen."""
 LEAST_NEW_CELLS = 20
+PATCH_CELLS = 32
+"""Cells that changed are looked at together when the patches of this side that they lie in hang together."""
 ENCLOSED_SHARE = 0.7
 """A cell that was not seen is free when more than this share of it and its eight neighbours is."""
 
@@ -79,12 +82,31 @@ class _Level:
     """The ground of one storey, and where it changed since places were last looked for."""
 
     ground: StandingGround
-    changed: list[Array] = field(default_factory=list)
+    changed: dict[tuple[int, int], list[Array]] = field(default_factory=lambda: defaultdict(list))
 
-    @property
-    def n_changed(self) -> int:
-        """How many cells changed."""
-        return sum(map(len, self.changed))
+    def note(self, cells: Array) -> None:
+        """Cells (N, 2) that changed; they are kept by the patch of ground that they lie in."""
+        patches = cells // PATCH_CELLS
+        for patch in {(i, j) for i, j in patches.tolist()}:
+            self.changed[patch].append(cells[(patches == patch).all(axis=1)])
+
+    def take_changed(self) -> list[Array]:
+        """Cells (N, 2) of patches beside each other, one array for all that hang together; what is too little to look
+        at waits."""
+        taken = []
+        waiting, self.changed = self.changed, defaultdict(list)
+        while waiting:
+            together = [next(iter(waiting))]
+            for i, j in together:
+                beside = [(i + di, j + dj) for di in (-1, 0, 1) for dj in (-1, 0, 1)]
+                together += [patch for patch in beside if patch in waiting and patch not in together]
+            parts = {patch: waiting.pop(patch) for patch in together}
+            cells = np.concatenate([cells for part in parts.values() for cells in part])
+            if len(cells) >= LEAST_NEW_CELLS:
+                taken.append(cells)
+            else:
+                self.changed.update(parts)
+        return taken
 
 
 @dataclass
@@ -115,8 +137,8 @@ class FreePlaces:
         stale: set[int] = set()
         for storey in rooms.storeys:
             level = self._survey(storey, occupancy, blocks)
-            if level.n_changed >= LEAST_NEW_CELLS:
-                stale |= self._renew(storey, level, graph, stamp_ns, changes)
+            for changed in level.take_changed():
+                stale |= self._renew(storey, level.ground, changed, graph, stamp_ns, changes)
         stale |= self._in_rooms(rooms, moved_rooms)
         self._put_in_rooms(sorted(stale), rooms, graph, stamp_ns, changes)
         return changes
@@ -124,7 +146,7 @@ class FreePlaces:
     def restore(self, occupancy: OccupancyMap, rooms: Rooms, graph: SceneGraph) -> None:
         """Know again the places of a graph that comes back from disk; the ground is surveyed anew."""
         for storey in rooms.storeys:
-            self._survey(storey, occupancy, np.empty((0, 3), np.int64)).changed = []
+            self._survey(storey, occupancy, np.empty((0, 3), np.int64)).changed.clear()
         for node in graph.nodes("place"):
             number, where = int(node.id.removeprefix("place_")), int(node.attributes["storey"])
             ground = self._levels[where].ground
@@ -171,17 +193,20 @@ class FreePlaces:
         level.ground.space[at] = space.ravel()
         level.ground.floor[at] |= floor.ravel()
         if fresh.any():
-            level.changed.append(cells[fresh])
+            level.note(cells[fresh])
         return level
 
     # -- places -------------------------------------------------------------------------------------------
     def _renew(
-        self, storey: Storey, level: _Level, graph: SceneGraph, stamp_ns: int, changes: GraphChanges
+        self,
+        storey: Storey,
+        ground: StandingGround,
+        changed: Array,
+        graph: SceneGraph,
+        stamp_ns: int,
+        changes: GraphChanges,
     ) -> set[int]:
         """Choose places anew about what changed; returns the numbers of those that are new or moved."""
-        ground = level.ground
-        changed = np.concatenate(level.changed)
-        level.changed = []
         reach = int(np.ceil(MOST_CLEARANCE_M / ground.cell_m))
         low = changed.min(axis=0) - 2 * reach
         window = ground.cover(low, changed.max(axis=0) + 2 * reach)

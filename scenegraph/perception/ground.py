@@ -33,7 +33,7 @@ class Grid:
         if 0 in self._shape:
             self._low, old_high = np.array(low), np.array(low)
         if (low < self._low).any() or (high + 1 > old_high).any():
-            room_to_grow = 40
+            room_to_grow = max(40, max(self._shape) // 4)
             new_low = np.where(low < self._low, np.asarray(low) - room_to_grow, self._low)
             new_high = np.where(high + 1 > old_high, np.asarray(high) + 1 + room_to_grow, old_high)
             where = tuple(slice(a, a + n) for a, n in zip(self._low - new_low, self._shape, strict=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -167,7 +168,7 @@ class Passages:
         }
         named = self._with_doors(_openings(storey, moved, window, occupancy), doors)
         taken = {p.by for p in named}
-        return named + _shut({d: s for d, s in doors.items() if d not in taken}, storey, moved)
+        return named + _shut({d: s for d, s in doors.items() if d not in taken}, named, storey, moved)
 
     def _with_doors(self, openings: list[Passage], doors: Mapping[str, Shape]) -> list[Passage]:
         """The openings with the door, the known passage or a new id that each goes by."""
@@ -286,10 +287,13 @@ def _borders(rooms: Array, numbers: Array, axis: int, apart: int) -> tuple[Array
     return (at, pair) if axis == 0 else (at[:, ::-1], pair)
 
 
-def _shut(doors: Mapping[str, Shape], storey: Storey, moved: set[str]) -> list[Passage]:
-    """Doors with a room on either side and nothing open between: they are shut."""
-    found = []
-    for door, shape in sorted(doors.items()):
+def _shut(doors: Mapping[str, Shape], opened: list[Passage], storey: Storey, moved: set[str]) -> list[Passage]:
+    """Doors with a room on either side and nothing open between: they are shut.
+
+    Of leaves in one place (its two sides may be seen as two things) the one that most was seen of is the door.
+    """
+    found: list[Passage] = []
+    for door, shape in sorted(doors.items(), key=lambda d: (-len(d[1].points), d[0])):
         x, y, length, _, yaw = shape.rectangle
         across = np.array([-np.sin(yaw), np.cos(yaw)])
         pairs = {
@@ -299,6 +303,8 @@ def _shut(doors: Mapping[str, Shape], storey: Storey, moved: set[str]) -> list[P
         rooms = sorted(f"room_{n}" for n in next(iter(pairs)) if n)
         if len(pairs) == 1 and len(set(rooms)) == 2 and moved.intersection(rooms):
             at = (round(x, 3), round(y, 3))
+            if any(p.rooms == (rooms[0], rooms[1]) and math.dist(p.at, at) < SAME_M for p in [*opened, *found]):
+                continue
             found.append(Passage(door, (rooms[0], rooms[1]), at, round(length, 2), False, storey.floor_z))
     return found
 

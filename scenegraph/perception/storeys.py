@@ -63,6 +63,7 @@ class Storey:
     ceilings: dict[int, tuple[float, shapely.Geometry]] = field(default_factory=dict)
     ceiling_z: float | None = None
     _over: GroundIndex = field(default_factory=GroundIndex)
+    _weights: dict[int, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def id(self) -> str:
@@ -80,6 +81,7 @@ class Storey:
     def hang(self, plane_id: int, z: float, outline: shapely.Geometry) -> None:
         """Note a ceiling."""
         self.ceilings[plane_id] = (z, outline)
+        self._weights[plane_id] = (z, outline.area)
         self._over.put(str(plane_id), _bounds(outline))
         self._weigh()
 
@@ -89,11 +91,12 @@ class Storey:
         if known is None:
             return None
         self._over.remove(str(plane_id))
+        del self._weights[plane_id]
         self._weigh()
         return known[1]
 
     def _weigh(self) -> None:
-        self.ceiling_z = _weighted_median([(z, outline.area) for z, outline in self.ceilings.values()])
+        self.ceiling_z = _weighted_median(list(self._weights.values()))
 
     # -- what is seen -------------------------------------------------------------------------------------
     def open_ground(self, occupancy: OccupancyMap, blocks: Array) -> list[Array]:

@@ -215,6 +215,31 @@ def test_a_change_is_looked_at_where_it_is() -> None:
     assert not written & before
 
 
+def test_changes_far_apart_are_looked_at_apart() -> None:
+    """A few cells that changed here do not make the ground from here to there be looked at."""
+    ground = two_rooms(DOOR)
+    ground.see((200.0, 0.1, 204.0, 3.9, 0.0, 2.1))
+    sizes = []
+    distance = ndimage.distance_transform_edt
+
+    def measured(free: np.ndarray) -> np.ndarray:
+        sizes.append(free.size)
+        return distance(free)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ndimage, "distance_transform_edt", measured)
+        blocks = []
+        for x in (1.0, 1.1, 202.0):
+            centres = np.array([[x + 0.025, 1.025, z] for z in np.arange(0.2, 0.8, 0.05)])
+            ground.occupancy.assign(centres, 20)
+            blocks.append(np.unique(np.floor(centres / 0.4).astype(np.int32), axis=0))
+        ground.places.update(ground.occupancy, np.concatenate(blocks[:2]), ground.rooms, (), ground.graph, 9)
+        assert not sizes, "two cells are no news"
+        ground.see((202.0, 1.0, 202.6, 1.6, 0.0, 0.8), value=20)
+    assert sizes
+    assert max(sizes) < 150**2
+
+
 def test_a_place_over_ground_that_was_not_seen_says_nothing_of_traversability() -> None:
     seen, unseen = two_rooms(DOOR), Ground()
     unseen.see(LEFT, RIGHT, DOOR, structure=WALLS, under=False)

@@ -137,6 +137,13 @@ def test_a_shut_door_connects_its_rooms_and_says_so() -> None:
     assert not any(e.attributes["open"] for e in graph.edges("connects"))
 
 
+def test_a_shut_door_seen_as_two_things_is_one_door() -> None:
+    sides = {"opening_7": door_at(1.4), "opening_8": door_at(1.6)}
+    sides["opening_8"] = Shape(sides["opening_8"].points[:400], 0.025)
+    graph, _ = passages_of(None, sides)
+    assert joined(graph) == {"opening_7": {"room_1", "room_2"}}
+
+
 def test_a_leaf_that_stands_open_before_a_whole_wall_is_no_shut_door() -> None:
     beside = door_at(1.4).points + np.array([0.28, 0.0, 0.0], np.float32)
     graph, _ = passages_of(None, {"opening_7": Shape(beside, 0.025)})
