@@ -2,7 +2,7 @@
 
 An edge is withdrawn after WITHDRAWN_AFTER contrary observations while a thing of it was in view; out of view it is
 kept, with its date. What cannot hold beside a new edge goes at once: a thing is in one room, nothing is on and above
-the same thing, and `on` stays acyclic.
+the same thing, what stands neither hangs nor is fixed to a side, and `on` stays acyclic.
 """
 
 from __future__ import annotations
@@ -58,6 +58,7 @@ class Doubts:
         for key in now:
             self._settle(key)
         housed = {key.source for key in now if key.relation == "in" and _is_room(key.target, graph, nodes)}
+        standing = {key.source for key in now if key.relation == "on"}
         doubted = {key for thing in seen or () for key in self._at.get(thing, ())}
         for key in sorted(failing | (doubted - now)):
             edge = graph.edge(*key)
@@ -65,7 +66,7 @@ class Doubts:
                 self._settle(key)
                 continue
             against = int(edge.attributes.get(CONTRARY, 0)) + (seen is not None and not seen.isdisjoint(key[1:]))
-            if seen is None or against >= WITHDRAWN_AFTER or self._ousted(key, now, housed, graph, nodes):
+            if seen is None or against >= WITHDRAWN_AFTER or self._ousted(key, now, housed, standing, graph, nodes):
                 changes.delete_edge(*key)
                 self._settle(key)
             else:
@@ -75,9 +76,14 @@ class Doubts:
 
     @staticmethod
     def _ousted(
-        key: EdgeKey, now: Set[EdgeKey], housed: Set[str], graph: SceneGraph, nodes: Mapping[str, Node]
+        key: EdgeKey,
+        now: Set[EdgeKey],
+        housed: Set[str],
+        standing: Set[str],
+        graph: SceneGraph,
+        nodes: Mapping[str, Node],
     ) -> bool:
-        """Whether an edge cannot hold beside those that are derived now."""
+        """Whether an edge cannot hold beside those that are derived now: of what is in a room, of what stands."""
         relation = CANONICAL.get(key.relation, key.relation)
         a, b = (key.target, key.source) if relation != key.relation else (key.source, key.target)
         if relation == "in":
@@ -85,7 +91,7 @@ class Doubts:
         if relation in ("on", "above"):
             others = {EdgeKey("on", a, b), EdgeKey("on", b, a), EdgeKey("above", a, b), EdgeKey("above", b, a)}
             return bool(others & now) or _bottom(a, graph, nodes) <= _bottom(b, graph, nodes)
-        return False
+        return relation in ("attached_to", "hanging_from") and a in standing
 
     def _doubt(self, key: EdgeKey) -> None:
         for thing in key[1:]:

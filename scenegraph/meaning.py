@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence, Set
 from typing import Any, cast
 
-from mapping.observations import ClassInfo
+from mapping.observations import ClassInfo, RobotDescription
 from reasoning.knowledge import DerivedEdge, KnowledgeBase
 from reasoning.terms import Atom, Compound, Term, Var
 from scenegraph import facts
@@ -55,6 +55,7 @@ class Meaning:
         knowledge.update(
             put=[
                 Compound("parameter", (Atom("voxel_size_m"), config.fine_voxel_size_m)),
+                Compound("parameter", (Atom("robot_width_m"), 2.0 * config.robot_radius_m)),
                 Compound("unobserved", (Atom("world"),)),
             ]
         )
@@ -65,6 +66,11 @@ class Meaning:
         self.knowledge.update(put=facts.class_facts((c.name, c.kind, c.parent) for c in classes))
         self._containers.clear()
         self._structural.clear()
+
+    def learn_robot(self, robot: RobotDescription) -> None:
+        """Tell the rules how wide an opening a robot needs."""
+        width = Compound("attribute", (Atom(f"agent_{robot.robot}"), Atom("width_m"), 2.0 * robot.radius_m))
+        self.knowledge.update(put=[width])
 
     def is_container(self, label: str) -> bool:
         """Whether the taxonomy calls things of this class containers."""
@@ -164,6 +170,11 @@ class Meaning:
                 if kind is not None:
                     attributes |= {"type": kind, "type_reason": reason}
                 changes.put(room.replace(label=kind or "room", attributes=attributes))
+
+    def note(self, measured: MeasurementChange) -> None:
+        """Tell the rules what was measured for a question, in the place of what was measured for the one before."""
+        put, deleted = facts.measurement_facts(measured)
+        self.knowledge.update(put=put, deleted=deleted)
 
     # -- questions ----------------------------------------------------------------------------------------
     def ask(

@@ -51,6 +51,8 @@ def load(kind: type[W], path: Path) -> W:
         world.event_log.restore(documents["events"])
         world.sightings.restore(documents.get("sightings", {}))
         world.robots = {r["robot"]: RobotDescription(**r) for r in documents["robots"]}
+        for robot in world.robots.values():
+            world.meaning.learn_robot(robot)
         world.perception.restore(documents["perception"], parts.layers["rooms"], world.graph)
         world.statements = [read(**told, knowledge=world.meaning.knowledge) for told in documents["statements"]]
         world.meaning.remember(world.graph, world.labels.classes, world.perception.relations.facts, world.statements)

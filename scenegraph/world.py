@@ -35,6 +35,7 @@ from scenegraph.graph import LAYERS, Delta, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 from scenegraph.labels import Labels
 from scenegraph.meaning import Meaning
+from scenegraph.perception.access import Access, asks_for, outdated
 from scenegraph.perception.perception import Perception
 from scenegraph.places import PlaceFinder
 from scenegraph.realigning import Corrections, Sightings, motions
@@ -69,6 +70,7 @@ class World:
         self._knowledge = KnowledgeBase(self.config.rule_files)
         self.meaning = Meaning(self._knowledge, self.config)
         self.perception = Perception(self.map, self.labels, self.meaning, self.config.robot_radius_m)
+        self._asked_for: set[tuple[str, ...]] = set()
         self._desk = DetectionDesk()
         self.T_map_camera: SE3 | None = None
         """Where the last image was taken from, as the map corrected its pose."""
@@ -100,6 +102,7 @@ class World:
                 return self._commit(GraphChanges(), self.graph.stamp_ns)
             case RobotDescription():
                 self.robots[observation.robot] = observation
+                self.meaning.learn_robot(observation)
                 return self._commit(GraphChanges(), self.graph.stamp_ns)
             case _:
                 raise TypeError(f"World.integrate: expected an observation, got {type(observation).__name__}")
@@ -200,7 +203,21 @@ class World:
         robot : whose viewpoint left and right mean;  at_ns : ask the graph as it was then (its edges, not new
         inferences)
         """
+        if at_ns is None and asks_for(goal):
+            self._measure_for(goal)
         return self.meaning.ask(goal, self.graph, robot=robot, limit=limit, timeout_s=timeout_s, at_ns=at_ns)
+
+    def _measure_for(self, goal: str) -> None:
+        """Measure what a goal asks for that is not kept: what is seen, reached and blocked."""
+        perception = self.perception
+        access = Access(
+            self.graph, perception.objects.shapes, self.map.occupancy, perception.building, self.robots,
+            self.config.robot_radius_m,
+        )  # fmt: skip
+        measured = access.measure(goal)
+        measured.deleted = outdated(self._asked_for, measured)
+        self._asked_for = set(measured.put)
+        self.meaning.note(measured)
 
     def where(self, phrase: str, *, robot: str | None = None) -> Place:
         """Where a phrase (`near the oven`) or a goal with one variable (`cup(X)`) is: nodes, region, reachable

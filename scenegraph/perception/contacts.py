@@ -28,6 +28,8 @@ SIDE_WINDOW_M = 0.35
 """How far around a thing the surface below it is looked at, to complete what the thing itself hides."""
 SETTLE_M = 0.25
 """How far a thing whose bottom was not seen is completed downwards."""
+HOVER_M = 0.15
+"""What hangs or is fixed to a side is this far from what is below it: nearer, it may stand on what was not seen."""
 HIDDEN_SHARE = 0.7
 """The space under a thing hides its bottom when this share of it was not seen to be free."""
 FACE_SAMPLES = 7
@@ -53,12 +55,18 @@ class Wall:
 
 @dataclass(frozen=True)
 class Resting:
-    """On what a thing rests, node id → share of its footing; the share of its footing that was seen; and the height at
-    which it rests [m]."""
+    """On what a thing rests, node id → share of its footing; the share of its footing that was seen; the height at which
+    it rests, and how far it is to the next surface below [m]."""
 
     shares: dict[str, float]
     footing_seen: float
     level: float
+    drop: float
+
+    @property
+    def hovers(self) -> bool:
+        """Whether nothing near below may carry it, seen or not."""
+        return self.drop > HOVER_M
 
 
 def tolerance(thing: Shape) -> float:
@@ -76,9 +84,12 @@ def resting(mine: Shape, others: Mapping[str, Shape], floor: Level, seen_free: C
     surfaces = _surfaces_under(mine, others, footing, floor)
     shares = _first_below(footing, surfaces, mine.lowest, tolerance(mine))
     if shares or not surfaces or not _bottom_hidden(mine, surfaces[0][0], footing, seen_free):
-        return Resting(shares, 1.0, mine.lowest)
+        drop = min(
+            (mine.lowest - top for top, _, _ in surfaces if top <= mine.lowest + tolerance(mine)), default=np.inf
+        )
+        return Resting(shares, 1.0, mine.lowest, drop)
     level = surfaces[0][0]
-    return Resting(_first_below(footing, surfaces, level, tolerance(mine)), 0.0, level)
+    return Resting(_first_below(footing, surfaces, level, tolerance(mine)), 0.0, level, 0.0)
 
 
 def hanging(mine: Shape, others: Mapping[str, Shape], ceiling: Level) -> dict[str, float]:
@@ -93,7 +104,7 @@ def hanging(mine: Shape, others: Mapping[str, Shape], ceiling: Level) -> dict[st
 def fixed(mine: Shape, others: Mapping[str, Shape], walls: Iterable[Wall]) -> dict[str, float]:
     """Share of the side that faces each thing and each wall, and that lies in contact with it."""
     reach = tolerance(mine)
-    sides = _sides(mine.box)
+    sides = _sides(mine.box, reach)
     found: dict[str, float] = {}
     for wall in walls:
         off = np.abs(sides[:, :, :2] @ wall.normal - wall.offset)
@@ -111,8 +122,8 @@ def fixed(mine: Shape, others: Mapping[str, Shape], walls: Iterable[Wall]) -> di
     return {name: share for name, share in found.items() if share > 0.0}
 
 
-def _sides(box: Box) -> Array:
-    """(4, FACE_SAMPLES², 3) points spread over the four sides of an upright box."""
+def _sides(box: Box, narrow_m: float) -> Array:
+    """(4 or 2, FACE_SAMPLES², 3) points spread over the sides of an upright box; the edge of a sheet is no side."""
     steps = (np.arange(FACE_SAMPLES) + 0.5) / FACE_SAMPLES - 0.5
     across, up = (grid.ravel() for grid in np.meshgrid(steps, steps))
     half = np.full(across.shape, 0.5)
@@ -122,7 +133,9 @@ def _sides(box: Box) -> Array:
             np.stack([across, half, up], axis=1), np.stack([across, -half, up], axis=1),
         ]
     )  # fmt: skip
-    return np.asarray(local * box.size @ box.rotation.T + box.center)
+    length, width, _ = box.size
+    kept = local[2:] if width < narrow_m <= length else local
+    return np.asarray(kept * box.size @ box.rotation.T + box.center)
 
 
 def _first_below(

@@ -312,7 +312,7 @@ class Relations:
         found: dict[tuple[str, ...], float] = {("contact", thing, o): share for o, share in rest.shares.items()}
         found["footing_seen", thing] = rest.footing_seen
         found["rest_level", thing] = rest.level
-        if max(rest.shares.values(), default=0.0) < FIRM_FOOTING:
+        if rest.hovers and max(rest.shares.values(), default=0.0) < FIRM_FOOTING:
             ceiling = around.ceiling_above(x, y, mine.highest)
             found.update({("top_contact", thing, o): share for o, share in hanging(mine, under, ceiling).items()})
             walls = around.walls_beside(low - reach, high + reach)

@@ -114,3 +114,11 @@ def test_nothing_is_on_and_above_the_same_and_on_stays_acyclic() -> None:
     graph, doubts = graph_of(edge("on", "table", "cup")), Doubts()
     look(doubts, graph, {EdgeKey("on", "table", "cup")}, {"cup"})
     assert graph.edge("on", "table", "cup") is None, "the table is lower now: kept, it might close a circle"
+
+
+def test_what_stands_neither_hangs_nor_is_fixed() -> None:
+    fixed, hanging = EdgeKey("attached_to", "cup", "table"), EdgeKey("hanging_from", "cup", "table")
+    graph, doubts = graph_of(edge(*fixed), edge(*hanging)), Doubts()
+    look(doubts, graph, {fixed, hanging}, {"cup"}, (EdgeKey("on", "cup", "book"),))
+    assert graph.edge(*fixed) is None
+    assert graph.edge(*hanging) is None
