@@ -55,8 +55,8 @@ class Wall:
 
 @dataclass(frozen=True)
 class Resting:
-    """On what a thing rests, node id → share of its footing; the share of its footing that was seen; the height at which
-    it rests, and how far it is to the next surface below [m]."""
+    """On what a thing rests, node id → share of its footing; the share of its footing that was seen; the height [m] at
+    which it rests, and how far the next surface below is [m]."""
 
     shares: dict[str, float]
     footing_seen: float
