@@ -577,12 +577,13 @@ class _Around:
             self.unsettled |= self._ids(low - margin, high + margin, "object")
         self.unsettled |= self._joined("supports", self.unsettled)
         carriers = self._joined("on", self.unsettled)
-        self.focus = self.unsettled | carriers
-        near = asked | self.focus
-        for low, high in self._places(self.focus):
-            near |= self._ids(low - margin, high + margin)
+        self.focus = self.unsettled | {i for i in carriers if self._layer(i) == "object"}
+        near = asked | self.focus | carriers
         for low, high in places:
             near |= self._ids(low - reach, high + reach) | self._ids(low - column, high + column)
+        for low, high in self._places(self.focus):
+            if not any((low >= a - reach + margin).all() and (high <= b + reach - margin).all() for a, b in places):
+                near |= self._ids(low - margin, high + margin)
         self.nodes = [states[-1] for i in sorted(near - gone) if (states := self._states(i))]
         things = [node for node in self.nodes if node.layer == "object"]
         if things:

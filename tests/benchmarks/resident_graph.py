@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,11 +21,16 @@ from tests.support.many_boxes import building
 from tests.support.spark_graph import SparkInput, spark_graph
 
 
-def ours(n_rooms: int, thresholds: Thresholds) -> tuple[SceneGraph, list[list[int]]]:
-    """The graph, and its pairs."""
+def ours(n_rooms: int, thresholds: Thresholds) -> SceneGraph:
+    """The graph with its relations."""
     nodes, hierarchy = building(n_rooms)
-    edges = relate(nodes, thresholds).joined(hierarchy)
-    return SceneGraph.from_tables(nodes, edges), SparkInput(nodes, [edges]).pairs
+    return SceneGraph.from_tables(nodes, relate(nodes, thresholds).joined(hierarchy))
+
+
+def theirs(n_rooms: int) -> SparkInput:
+    """What spark-dsg is given, but for the relations."""
+    nodes, hierarchy = building(n_rooms)
+    return SparkInput(nodes, [hierarchy])
 
 
 def main(library: str, n_rooms: str, path: str) -> None:
@@ -37,20 +41,24 @@ def main(library: str, n_rooms: str, path: str) -> None:
             ours(2, thresholds)  # what is compiled and loaded once is not the graph's
             give_back()
             before = resident_mb()
-            made, pairs = ours(int(n_rooms), thresholds)
-        Path(path).write_bytes(np.array(pairs, np.int32).tobytes())
-        del pairs
+            made = ours(int(n_rooms), thresholds)
+            grown = resident_mb() - before
+            give_back()
+            kept = resident_mb() - before
+        nodes, edges = made.tables()
+        given = SparkInput(nodes, [edges])
+        np.save(path, np.array([given.sources, given.targets], np.int32).T)
     else:
-        given = SparkInput(*(lambda nodes, edges: (nodes, [edges]))(*building(int(n_rooms))))
-        given.pairs = np.frombuffer(Path(path).read_bytes(), np.int32).reshape(-1, 2).tolist()
-        small = SparkInput(*(lambda nodes, edges: (nodes, [edges]))(*building(2)))
-        spark_graph(small)
+        given = theirs(int(n_rooms))
+        given.take_pairs(np.load(path))
+        spark_graph(theirs(2))
         give_back()
         before = resident_mb()
         made = spark_graph(given)
-    grown = resident_mb() - before
-    give_back()
-    print(json.dumps({"grown": grown, "kept": resident_mb() - before}))
+        grown = resident_mb() - before
+        give_back()
+        kept = resident_mb() - before
+    print(json.dumps({"grown": grown, "kept": kept}))
     del made
 
 

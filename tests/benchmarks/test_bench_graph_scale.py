@@ -98,7 +98,7 @@ def test_build(
     peers = {SPARK: lambda n: spark_graph(pairs)}
     ours, theirs = race(benchmark, lambda n: build(n_rooms, thresholds), peers, rounds=rounds)
     table.add(f"{size(n_rooms)}: build", "relations inferred", ours, theirs, must_share=3.0)
-    table.notes.append(f"{size(n_rooms)}: {graphs[n_rooms]!r}; {SPARK} has {len(pairs.pairs)} pairs")
+    table.notes.append(f"{size(n_rooms)}: {graphs[n_rooms]!r}; {SPARK} has {len(pairs.sources)} pairs")
 
 
 @pytest.mark.parametrize("n_rooms", ROOMS)
@@ -184,7 +184,14 @@ def test_memory(benchmark: BenchmarkFixture, table: Table, tmp_path: Path) -> No
     n_rooms = max(ROOMS)
 
     def measure(library: str) -> None:
-        command = [sys.executable, "-m", "tests.benchmarks.resident_graph", library, str(n_rooms), str(tmp_path / "p")]
+        command = [
+            sys.executable,
+            "-m",
+            "tests.benchmarks.resident_graph",
+            library,
+            str(n_rooms),
+            str(tmp_path / "pairs.npy"),
+        ]
         told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=600).stdout
         found[library] = json.loads(told.splitlines()[-1])
 

@@ -37,7 +37,11 @@ class SparkInput:
             np.int64
         )
         ends.sort(axis=1)
-        self.pairs = np.unique(ends, axis=0).tolist()
+        self.take_pairs(np.unique(ends, axis=0))
+
+    def take_pairs(self, pairs: NDArray[np.integer[Any]]) -> None:
+        """Pairs (m, 2) of rows, in two flat lists: a list for each pair would be work for the garbage collector."""
+        self.sources, self.targets = pairs[:, 0].tolist(), pairs[:, 1].tolist()
 
 
 def spark_graph(given: SparkInput) -> Any:
@@ -66,6 +70,6 @@ def spark_graph(given: SparkInput) -> Any:
         symbol = spark_dsg.NodeSymbol(letter, n)
         graph.add_node(number, symbol, attributes, partition)
         symbols.append(symbol)
-    for a, b in given.pairs:
+    for a, b in zip(given.sources, given.targets, strict=True):
         graph.insert_edge(symbols[a], symbols[b])
     return graph
