@@ -303,8 +303,12 @@ class ClusterMap:
         near = self.planes_near(component_id, planes, "structure", "support")
         return [i for i, up in zip(near, planes.equations(near)[0][:, 2].tolist(), strict=True) if up > LEVEL]
 
+    def role(self, plane_id: int) -> Role | None:
+        """What a plane is to things."""
+        return self._roles.get(plane_id)
+
     def planes_near(self, component_id: int, planes: PlaneMap, *roles: Role) -> list[int]:
-        """The planes that are one of this to things, ascending, of which something is beside a component."""
+        """The planes with one of these roles, ascending, of which something is beside a component."""
         slots = np.array(sorted(self.components[component_id].slots), np.int64)
         return self._with_role(planes.ids_near(self._store.block_ijk[slots]), *roles)
 

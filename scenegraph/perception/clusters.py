@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from copy import copy
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.clusters import LEVEL, RIM_M, ClusterChange, ClusterMap, Component, Role
+from mapping.clusters import LEAST_VOXELS, LEVEL, RIM_M, ClusterChange, ClusterMap, Component, Role
 from mapping.kernels import columns
 from mapping.labelled import nearest_labelled
 from mapping.layered import LayeredMap, MapChange
@@ -30,9 +31,10 @@ UPRIGHT = 0.3
 WALL_WIDTH_M = 2.2
 """An upright plane that is wider is of a wall, though not enough of it was seen to call it one."""
 FLAT_M = 0.1
+FLAT_SHARE = 0.95
 LOW_VOXELS = 1.3
-"""What stands out of a wall or ceiling by less is of it, two voxels at least; what rises above a floor by less lies on
-it as a rug does."""
+"""What stands out of a wall or ceiling by less, in this share of its points, is of it, two voxels at least; what rises
+above a floor by less lies on it as a rug does."""
 BESIDE_VOXELS = 1.5
 """Surface so near what has a label is of it."""
 TAKES_SHARE = 0.25
@@ -45,7 +47,10 @@ HIDDEN_M = 0.3
 """What a thing stands on goes on so far under it, where nobody sees it."""
 GROWN_SHARE = 0.15
 RESIZED_M = 0.04
-"""A cluster is measured anew when its voxels became more or less by this share, or its sides moved by this much."""
+"""A cluster is measured anew when its voxels became more or less by this share, or its sides moved by this much …"""
+LOOK_AGAIN = 1.1
+MUCH_GROWN_SHARE = 0.5
+"""… and it was seen so many times as often as when it was measured last, or changed very much."""
 REFRESH_NS = 5_000_000_000
 
 
@@ -72,7 +77,7 @@ class Clusters:
         self._in_a_box = in_a_box
         self._thing_at = thing_at
         self._node_of: dict[int, str] = {}
-        self._measured: dict[int, tuple[int, Array, Array]] = {}
+        self._measured: dict[int, Component] = {}
         self._told: dict[str, Node] = {}
         self._dismissed: set[int] = set()
         self._again: set[int] = set()
@@ -204,19 +209,21 @@ class Clusters:
     ) -> None:
         node_id = self._node_of.get(component.id)
         shape = None if node_id is None else self._shapes.get(node_id)
-        if shape is None or self._changed(component, clusters.voxel_size_m):
-            self._measured[component.id] = component.n_voxels, component.low, component.high
+        if self._changed(component, clusters.voxel_size_m):
             measured = shape_of(component.id, clusters, planes)
             if measured is None or lies_flat(measured.points, component.id, clusters, planes):
                 self._bury(component.id, None, False, changes, reshaped)
+                self._measured[component.id] = copy(component)
                 return
+            self._measured[component.id] = copy(component)
             if node_id is None:
                 node_id = self._node_of[component.id] = _name(component.id, graph)
                 self._labels[node_id] = LABEL
             if shape is None or significantly_different(shape, measured):
                 self._shapes[node_id] = shape = measured
                 reshaped.add(node_id)
-        assert node_id is not None
+        if node_id is None or shape is None:
+            return
         confidence = round(float(1.0 - np.exp(-component.views / SURE_VIEWS)), 1)
         told = self._told.get(node_id)
         if (
@@ -242,12 +249,11 @@ class Clusters:
         known = self._measured.get(component.id)
         if known is None:
             return True
-        n, low, high = known
-        return bool(
-            abs(component.n_voxels - n) > GROWN_SHARE * n
-            or max(np.abs(component.low - low).max(), np.abs(component.high - high).max())
-            > max(1.5 * voxel_size_m, RESIZED_M)
-        )
+        grown = abs(component.n_voxels - known.n_voxels) / known.n_voxels
+        if grown < MUCH_GROWN_SHARE and component.views < LOOK_AGAIN * known.views:
+            return False
+        moved = max(np.abs(component.low - known.low).max(), np.abs(component.high - known.high).max())
+        return bool(grown > GROWN_SHARE or moved > max(1.5 * voxel_size_m, RESIZED_M))
 
     # -- what an operator states --------------------------------------------------------------------------
     def forget(self, node_id: str) -> set[str]:
@@ -279,7 +285,7 @@ class Clusters:
             self._told[name] = graph.node(name)
             self._labels[name] = LABEL
             component = clusters.components[component_id]
-            self._measured[component_id] = component.n_voxels, component.low, component.high
+            self._measured[component_id] = copy(component)
             shape = shape_of(component_id, clusters, planes)
             if shape is not None:
                 self._shapes[name] = shape
@@ -299,16 +305,14 @@ def lies_flat(points: Array, component_id: int, clusters: ClusterMap, planes: Pl
     """Whether points (N, 3) [m] of a component stand out of a wall, floor or ceiling that is beside it by no more than
     mouldings, door frames and noise do, or are the rim of a table top."""
     voxel = clusters.voxel_size_m
-    roles: tuple[Role, ...] = ("structure", "support")
-    for role in roles:
-        normals, offsets = planes.equations(clusters.planes_near(component_id, planes, role))
-        above = points @ normals.T - offsets
-        low = planes.tolerance_m if role == "support" else LOW_VOXELS * voxel
-        most = np.where(normals[:, 2] > LEVEL, low, max(FLAT_M, 2.0 * voxel))
-        flat = (np.quantile(above, 0.95, axis=0) < most) & (above.min(axis=0) > -(most + RIM_M + voxel))
-        if flat.any():
-            return True
-    return False
+    beside = clusters.planes_near(component_id, planes, "structure", "support")
+    normals, offsets = planes.equations(beside)
+    above = points @ normals.T.astype(np.float32) - offsets.astype(np.float32)
+    raised = np.array([clusters.role(i) == "support" for i in beside], np.bool_)
+    low = np.where(raised, planes.tolerance_m, LOW_VOXELS * voxel)
+    most = np.where(normals[:, 2] > LEVEL, low, max(FLAT_M, 2.0 * voxel))
+    behind = above.min(axis=0) > -(most + RIM_M + voxel)
+    return bool((behind & ((above < most).mean(axis=0) >= FLAT_SHARE)).any())
 
 
 def shape_of(component_id: int, clusters: ClusterMap, planes: PlaneMap) -> Shape | None:
@@ -319,7 +323,8 @@ def shape_of(component_id: int, clusters: ClusterMap, planes: PlaneMap) -> Shape
         return None
     carriers = clusters.carriers(component_id, planes)
     points = grounded(points, planes, carriers, clusters.voxel_size_m) if carriers else points
-    return Shape.trimmed(points, np.ones(len(points), np.float32), clusters.voxel_size_m)
+    shape = Shape.trimmed(points, np.ones(len(points), np.float32), clusters.voxel_size_m)
+    return None if shape is None or len(shape.points) < LEAST_VOXELS else shape
 
 
 def grounded(
