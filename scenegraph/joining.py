@@ -345,7 +345,8 @@ class _Edges:
                 self._put[key] = self._renamed(edge, source, target)
                 added += 1
             else:
-                self._put[key] = self._both(known, self._renamed(edge, source, target))
+                if edge.last_seen_ns > known.last_seen_ns or edge.first_seen_ns < known.first_seen_ns:
+                    self._put[key] = self._both(known, self._renamed(edge, source, target))
                 shared += 1
         for key in sorted(self._deleted):
             self._changes.delete_edge(*key)
@@ -356,6 +357,8 @@ class _Edges:
 
     def _renamed(self, edge: Edge, source: str, target: str) -> Edge:
         """The edge between the nodes' new ids, which stand in its attributes too (`through`)."""
+        if (source, target) == (edge.source, edge.target) and not edge.attributes:
+            return edge
         attributes = {
             name: self._ids.get(value, value) if name == "through" and isinstance(value, str) else value
             for name, value in edge.attributes.items()
