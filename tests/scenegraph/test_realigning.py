@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mapping.errors import PoseUnavailable
 from mapping.geometry import SE3
-from mapping.observations import AgentPose, CorrectedPose, PoseCorrection
+from mapping.observations import AgentPose, CorrectedPose, PoseCorrection, RgbdImage
 from reasoning.knowledge import KnowledgeBase
 from scenegraph.errors import InvalidGraphValue
 from scenegraph.graph import Box, Delta, GraphChanges, Node, SceneGraph, Tombstone
@@ -20,6 +20,7 @@ from scenegraph.graph.delta import NodeChanges
 from scenegraph.realigning import MOST_SIGHTINGS, Corrections, Sightings, motions, realign
 from scenegraph.relating import Thresholds, relate
 from scenegraph.rigid import moved
+from tests.support import small_home
 from tests.support.furnished import furnished, turned
 from tests.support.graphs import graphs
 
@@ -289,3 +290,40 @@ def test_believed_poses_are_looked_up_and_corrected(copy_home: Callable[[], Worl
     unknown = CorrectedPose(stamp_ns=1, T_map_base=HERE)
     with pytest.raises(PoseUnavailable):
         world.integrate(PoseCorrection(stamp_ns=stamp, robot="nobody", poses=(unknown,)))
+
+
+def test_a_home_that_was_mapped_with_drift_is_put_right(home: World) -> None:
+    """The robot drifts a third of a metre on its tour; its corrected poses bring things back to within centimetres."""
+    images = [o for o in small_home.observations() if isinstance(o, RgbdImage)]
+    first, last = images[0].stamp_ns, images[-1].stamp_ns
+
+    def drifted(stamp_ns: int) -> SE3:
+        share = (stamp_ns - first) / (last - first)
+        return turned(0.04 * share, 0.3 * share, -0.15 * share)
+
+    true = {node.label: node.position for node in home.graph.nodes("object")}
+
+    def errors(world: World) -> list[float]:
+        return [float(np.linalg.norm(node.position - true[node.label])) for node in world.graph.nodes("object")]
+
+    with small_home.new_world() as world:
+        for observation in small_home.observations():
+            if isinstance(observation, RgbdImage):
+                T_map_camera = drifted(observation.stamp_ns) @ observation.T_map_camera
+                observation = observation.model_copy(update={"T_map_camera": T_map_camera})
+            world.integrate(observation)
+        before = errors(world)
+        ids = {node.id for node in world.graph}
+        told = tuple(
+            CorrectedPose(
+                stamp_ns=image.stamp_ns,
+                T_map_base=image.T_map_camera,
+                T_map_base_before=drifted(image.stamp_ns) @ image.T_map_camera,
+            )
+            for image in images[::4]
+        )
+        world.integrate(PoseCorrection(stamp_ns=last + 1, robot=images[0].robot, poses=told))
+        after = errors(world)
+        assert {node.id for node in world.graph} == ids
+    assert np.median(before) > 0.08
+    assert np.median(after) < 0.03
