@@ -31,6 +31,9 @@ NECK_SHARE = 0.72
 """A passage narrower than this share of the rooms it joins parts them: doors do, and wide openings between wall
 stubs."""
 LEAST_ROOM_M2 = 1.2
+LEAST_SEEN_SHARE = 0.3
+"""Of the ground of a room at least this share was seen, the rest is taken to be hidden: a few beams that went through
+a window make no room."""
 UNNOTICED_CELLS = 10
 """A room that won and lost no more cells than this stays as it was written."""
 SAME_SHARE = 0.3
@@ -119,8 +122,11 @@ class Rooms:
         reach = ndimage.binary_fill_holes(reach) & ~closed
         clearance = ndimage.distance_transform_edt(np.pad(reach, 1))[1:-1, 1:-1]
         labels = kernels.basins(clearance, NECK_SHARE)
-        small = np.bincount(labels.ravel()) * CELL_M**2 < LEAST_ROOM_M2
-        labels[small[labels]] = 0
+        cells = np.bincount(labels.ravel())
+        seen = np.bincount(labels.ravel(), weights=storey.ground.free[window].ravel())
+        guessed = (seen < LEAST_SEEN_SHARE * cells)[labels] & (labels > 0)
+        reach &= ~guessed
+        labels[guessed | (cells * CELL_M**2 < LEAST_ROOM_M2)[labels]] = 0
         kernels.flood(labels, reach)
         told = np.where(storey.ground.drawn[window], before, 0)
         before[other] = 0

@@ -22,8 +22,8 @@ Line: TypeAlias = tuple[float, float, float, float]
 CELL_M = 0.1
 BAND_M = (1.0, 1.9)
 """Heights over the floor at which space counts: above tables and counters, below the lintels of doors."""
-OPEN_SKY_M = 0.5
-"""Space that is free so far above the ceilings of a storey has no ceiling over it."""
+OPEN_SKY_M = (2.0, 2.5)
+"""Space that is free so far above the ceilings of a storey is under the sky: halls are no higher."""
 DEFAULT_HEIGHT_M = 2.4
 """Of rooms whose ceiling was not seen."""
 TALLEST_STOREY_M = 3.2
@@ -103,7 +103,7 @@ class Storey:
         """Note the cells that are free at standing height, and those that are free above every ceiling; returns the
         bounds of the former, corners (2, 2) in cells, where new."""
         height = TALLEST_STOREY_M if self.ceiling_z is None else self.ceiling_z - self.floor_z
-        sky = self._free_cells(occupancy, blocks, height + 0.2, height + 0.2 + OPEN_SKY_M, whole=True)
+        sky = self._free_cells(occupancy, blocks, height + OPEN_SKY_M[0], height + OPEN_SKY_M[1], whole=True)
         if len(sky):
             above = self._at(sky)
             self.ground.sky[above] = True

@@ -178,6 +178,13 @@ def test_a_room_full_of_furniture_shadows_is_one() -> None:
     assert home.at(2.5, 1.5) == home.ids[0]
 
 
+def test_a_beam_through_a_window_makes_no_room() -> None:
+    home = Home()
+    home.see(LEFT, (8.0, 2.0, 12.0, 2.1), structure=TWO_WALLS)
+    assert len(home.ids) == 1
+    assert home.at(10.0, 2.0) is None
+
+
 def test_a_corridor_with_three_doors_stays_one() -> None:
     corridor = (0.1, 0.1, 8.9, 1.4)
     behind = [(0.1, 1.6, 2.9, 4.4), (3.1, 1.6, 5.9, 4.4), (6.1, 1.6, 8.9, 4.4)]
@@ -298,6 +305,8 @@ def test_ground_under_the_open_sky_is_a_room_outdoors_in_no_storey() -> None:
     assert inside != outside
     assert all("outdoors" not in node.attributes for node in home.nodes.values()), "nobody looked up"
     home.see(garden, z=(3.3, 4.2))
+    assert all("outdoors" not in node.attributes for node in home.nodes.values()), "a hall may be as high"
+    home.see(garden, z=(5.0, 6.0))
     home.see((4.1, 0.1, 10.9, 3.9))
     assert home.nodes[outside].attributes["outdoors"] is True  # type: ignore[index]
     assert "outdoors" not in home.nodes[inside].attributes  # type: ignore[index]
