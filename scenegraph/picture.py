@@ -36,6 +36,7 @@ _WALL = "#30343a"
 _DOOR = "#d9720b"
 _WINDOW = "#3a9ad9"
 _MAPPED = "#00612e"
+_RELATIONS = ("#7a3fc0", "#b08a00", "#0c8599", "#a61e4d")
 _DPI = 130
 _MARGIN = 50  # around and between the panels, pixels
 _WRONG = "#d60000"
@@ -51,6 +52,7 @@ def draw(
     normals: ArrayLike | None = None,
     trajectory: ArrayLike | None = None,
     truth: Iterable[tuple[str, Box]] | None = None,
+    relations: Iterable[str] = (),
     title: str | None = None,
 ) -> Path:
     """Draw the world into a PNG file of two panels, top view and perspective, and return its path.
@@ -62,6 +64,7 @@ def draw(
     normals    : (N, 3) into free space; they shade the surface, and let the camera look through walls from behind
     trajectory : (M, 3) or (M, 2) where the agent went [m]
     truth      : label and box of each thing that is really there, drawn dashed
+    relations  : which relations between objects are drawn, such as "on": from one's middle to the other's
 
     Raises PictureError when an array has a wrong shape or the file cannot be written. Needs matplotlib, not a display.
     """
@@ -71,6 +74,7 @@ def draw(
     surface = Surface.of(points, colors, normals)
     path_points = None if trajectory is None else _trajectory(trajectory)
     things = list(truth) if truth is not None else []
+    drawn = tuple(relations)
     every = _extent(graph, surface, path_points, [box for _, box in things])
     ceiling = _ceiling(graph, float(every[:, 2].max()))
     every[:, 2] = np.minimum(every[:, 2], ceiling)
@@ -92,6 +96,7 @@ def draw(
         _draw_structure(sheet, graph)
         _draw_agents(sheet, graph, path_points)
         _draw_things(sheet, graph, things)
+        _draw_relations(sheet, graph, drawn)
         axes.set_xlim(0, view.width)
         axes.set_ylim(view.height, 0)
         axes.set_aspect("equal")
@@ -100,7 +105,7 @@ def draw(
     _draw_scale(top, views[0], every.min(axis=0), every.max(axis=0))
     top.set_title("from above, x and y in metres", fontsize=11)
     perspective.set_title("in perspective", fontsize=11)
-    _legend(figure, graph, truth is not None, path_points is not None)
+    _legend(figure, graph, truth is not None, path_points is not None, drawn)
     figure.suptitle(_title(graph, title), fontsize=13, parse_math=False)
     try:
         with warnings.catch_warnings():
@@ -263,12 +268,31 @@ def _draw_things(sheet: _Sheet, graph: SceneGraph, truth: Sequence[tuple[str, Bo
     edges = [line for _, box in truth for line in _box_lines(box)]
     sheet.lines(edges, colors=_TRUTH, linewidths=0.7, linestyles=_DASHED)
     for node in mapped:
-        name = str(node.attributes.get("name") or node.label).replace("_", " ")
+        name = _called(node)
         wrong = bool(truth) and not any(_agree(node, label, box) for label, box in truth)
         sheet.text(_top(node), name, 6, color=_WRONG if wrong else _MAPPED)
     for label, box in truth:
         if not any(_agree(node, label, box) for node in mapped):
             sheet.text(box.center, label.replace("_", " "), 6, color=_TRUTH, style="italic")
+
+
+def _called(node: Node) -> str:
+    """The name of a thing, else its class; what has no class but `object` is told apart by its id."""
+    name = str(node.attributes.get("name") or node.label)
+    return (node.id if name == "object" else name).removeprefix("object_").replace("_", " ")
+
+
+def _draw_relations(sheet: _Sheet, graph: SceneGraph, relations: Sequence[str]) -> None:
+    """A line for each pair of objects of which a relation holds; one each for symmetric ones."""
+    things = {node.id: node.position for node in graph.nodes("object")}
+    for relation, color in zip(relations, _RELATIONS * len(relations), strict=False):
+        pairs = {(edge.source, edge.target) for edge in graph.edges(relation)}
+        lines = [
+            np.array([things[a], things[b]])
+            for a, b in sorted(pairs)
+            if a in things and b in things and (a < b or (b, a) not in pairs)
+        ]
+        sheet.lines(lines, colors=color, linewidths=1.1)
 
 
 def _agree(node: Node, label: str, box: Box) -> bool:
@@ -305,7 +329,7 @@ def _draw_scale(axes: Axes, view: View, low: Points, high: Points) -> None:
         place(view.project(points)[:, axis], [f"{mark:g}" for mark in marks])
 
 
-def _legend(figure: Figure, graph: SceneGraph, with_truth: bool, with_path: bool) -> None:
+def _legend(figure: Figure, graph: SceneGraph, with_truth: bool, with_path: bool, relations: Sequence[str]) -> None:
     from matplotlib.lines import Line2D
 
     entries = [
@@ -330,6 +354,8 @@ def _legend(figure: Figure, graph: SceneGraph, with_truth: bool, with_path: bool
         entries.append(
             Line2D([], [], color=_WRONG, marker="s", markersize=5, linewidth=0, label="mapped, nothing such is there")
         )
+    for relation, color in zip(relations, _RELATIONS * len(relations), strict=False):
+        entries.append(Line2D([], [], color=color, linewidth=1.1, label=relation.replace("_", " ")))
     if with_path:
         entries.append(Line2D([], [], color=_WAY, linewidth=1, label="way of the robot"))
     figure.legend(handles=entries, loc="lower center", ncols=len(entries), fontsize=9, frameon=False)

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from scenegraph.errors import PictureError
-from scenegraph.graph import Box, GraphChanges, Node, SceneGraph
+from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
 from scenegraph.picture import draw
 from scenegraph.viewpoint import Surface, View
 
@@ -156,3 +156,13 @@ def test_a_wall_seen_from_behind_is_left_out() -> None:
     hidden = view.splat(Surface(point, green, -towards / np.linalg.norm(towards), 0.05))
     assert (seen != hidden).any()
     assert (hidden == [250, 250, 248]).all()
+
+
+def test_relations_that_are_asked_for_are_drawn(tmp_path: Path) -> None:
+    graph, changes = home(), GraphChanges()
+    changes.put(Edge(relation="on", source="object_0", target="object_1", **SEEN))
+    changes.put(Edge(relation="on", source="object_0", target="structure_1", **SEEN))
+    graph.commit(changes, 2)
+    violet = (122, 63, 192)
+    assert not has_color(pixels(draw(graph, tmp_path / "without.png")), violet)
+    assert has_color(pixels(draw(graph, tmp_path / "with.png", relations=("on", "next_to"))), violet)
