@@ -29,6 +29,8 @@ from mapping.segmentation import Segmentation
 from mapping.semantics import camera_row, pose_rows
 
 Array: TypeAlias = NDArray[Any]
+Tint: TypeAlias = tuple[float, float, float, float]
+NO_TINT: Tint = (0.0, 0.0, 0.0, 0.0)
 
 FULL_VIEW_PIXELS = 400.0
 """A mask of so many pixels is a whole vote for the class of its instance, times what the segmenter is sure of it."""
@@ -39,7 +41,9 @@ CONFIRMED_VIEWS = 2
 SLIP_S = 300.0
 """What was seen no more often, and that so long ago, tells nothing of what is seen there now."""
 STRANGERS = 3
-"""Masks of other classes in a row, that long after the last of its own class: something else is in its place."""
+"""Masks of another class or colour in a row, that long after the last of its own: something else is in its place."""
+OTHER_CHROMA = 0.15
+"""Colours are different when their shares of red, green and blue lie so far apart, however bright they are."""
 DOUBTS_A_VIEW = 1
 """An instance is given up when there were more than so many images for each view of it in which it was looked at and
 not seen."""
@@ -74,7 +78,7 @@ class Instance:
     views   images in which it had a mask;  doubts  those in which it was looked at and had none
     number  by which its voxels know it; given to another when it has gone
     splits  images in which a second mask lay on it
-    own_ns  when a mask of its class was seen last;  strangers  masks of other classes since, long after
+    own_ns  when a mask of its class and colour was seen last;  strangers  other masks since, long after
     labels  class id → votes (about: full views)
     slots   blocks in which it may have voxels
     tint    mean red, green and blue (3,), 0 … 255, of the pixels of its masks, with how many [thousands] they are worth
@@ -92,7 +96,7 @@ class Instance:
     strangers: int = 0
     labels: dict[int, float] = field(default_factory=dict)
     slots: set[int] = field(default_factory=set)
-    tint: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    tint: Tint = (0.0, 0.0, 0.0, 0.0)
 
     @property
     def label(self) -> int:
@@ -182,16 +186,15 @@ class InstanceMap(PackedLayer):
         ids = assign(overlaps)
         together = self._compare(overlaps, ids)
         self._found(ids, seen.pixels)
+        tints = self._mask_tints(seen.pieces, len(seen), color)
         for piece, instance_id in enumerate(ids.tolist()):
             if instance_id:
                 worth = min(1.0, float(seen.pixels[piece]) / FULL_VIEW_PIXELS) * float(seen.confidence[piece])
-                self._witness(instance_id, int(seen.label[piece]), worth, stamp_ns)
+                self._witness(instance_id, int(seen.label[piece]), worth, tints[piece], stamp_ns)
         numbers = [BACKGROUND, *(self.instances[i].number if i else 0 for i in ids.tolist()), 0]
         touched = self._vote(cells, np.array(numbers, np.uint16)[owners], votes, offsets)  # owner −1 is the last
         split = self._split(apart(overlaps, ids), ids, cells, owners)
         merged = self._merge(together)
-        if color is not None:
-            self._remember_tints(seen.pieces, ids, color)
         touched |= {*merged.values(), *split.values(), *self._give_up()}
         ids = np.array([0, *(merged.get(i, i) for i in ids.tolist())])
         return InstanceChange(frozenset(touched), merged, split, Masks(seen.pieces, seen.labels, ids))
@@ -254,36 +257,40 @@ class InstanceMap(PackedLayer):
             ids[piece] = self._next_id
             self._next_id += 1
 
-    def _witness(self, instance_id: int, label: int, worth: float, stamp_ns: int) -> None:
+    def _witness(self, instance_id: int, label: int, worth: float, tint: Tint, stamp_ns: int) -> None:
         known = self.instances.get(instance_id)
         if known is None:
             known = self._begin(Instance(instance_id, stamp_ns, stamp_ns, number=self._free_number()))
         if known.views <= CONFIRMED_VIEWS and stamp_ns - known.last_seen_ns > SLIP_S * 1e9:
             known.views = known.doubts = 0
-            known.first_seen_ns, known.labels = stamp_ns, {}
+            known.first_seen_ns, known.labels, known.tint = stamp_ns, {}, NO_TINT
         known.last_seen_ns = max(known.last_seen_ns, stamp_ns)
         known.views += 1
         known.labels[label] = known.labels.get(label, 0.0) + worth
         self._classify(known)
-        if label == known.label:
+        if label == known.label and not _another_colour(known.tint, tint):
             known.own_ns, known.strangers = stamp_ns, 0
+            known.tint = _mixed(known.tint, tint)
         elif stamp_ns - known.own_ns > SLIP_S * 1e9:
             known.strangers += 1
             self._unsure.add(instance_id)
 
-    def _remember_tints(self, pieces: Array, ids: Array, color: Array) -> None:
-        """Fold the mean colours of masks into those of their instances."""
+    def _mask_tints(self, pieces: Array, n: int, color: Array | None) -> list[Tint]:
+        """The mean colour of each of n masks, and how many [thousand] pixels it is of; all 0 where there is no
+        colour."""
+        if color is None:
+            return [NO_TINT] * n
         some = (slice(TINT_STEP // 2, None, TINT_STEP),) * 2
         piece = pieces[some].ravel()
         inside = np.flatnonzero(piece)
         piece, shades = piece[inside] - 1, color[some].reshape(-1, 3)[inside]
-        counts = np.bincount(piece, minlength=len(ids))
-        sums = np.stack([np.bincount(piece, shades[:, c], minlength=len(ids)) for c in range(3)], axis=1)
-        for at in np.flatnonzero((ids > 0) & (counts > 0)).tolist():
-            instance = self.instances.get(int(ids[at]))
-            if instance is not None:
-                worth = counts[at] * TINT_STEP**2 / 1000.0
-                instance.tint = _mixed(instance.tint, (*(sums[at] / counts[at]).tolist(), worth))
+        counts = np.bincount(piece, minlength=n)
+        sums = np.stack([np.bincount(piece, shades[:, c], minlength=n) for c in range(3)], axis=1)
+        means = sums / np.maximum(counts, 1)[:, None]
+        return [
+            (red, green, blue, count * TINT_STEP**2 / 1000.0)
+            for (red, green, blue), count in zip(means.tolist(), counts.tolist(), strict=True)
+        ]
 
     def _begin(self, instance: Instance) -> Instance:
         self.instances[instance.id] = instance
@@ -520,9 +527,15 @@ class InstanceMap(PackedLayer):
         return cells, self.store.rows(cells)
 
 
-def _mixed(
-    a: tuple[float, float, float, float], b: tuple[float, float, float, float]
-) -> tuple[float, float, float, float]:
+def _another_colour(a: Tint, b: Tint) -> bool:
+    """Whether both are known, and not shades of one colour."""
+    one, other = np.array(a[:3]), np.array(b[:3])
+    if min(a[3], b[3]) <= 0.0 or min(one.sum(), other.sum()) <= 0.0:
+        return False
+    return bool(np.linalg.norm(one / one.sum() - other / other.sum()) > OTHER_CHROMA)
+
+
+def _mixed(a: Tint, b: Tint) -> Tint:
     """The colour of both together."""
     worth = a[3] + b[3]
     share = b[3] / worth if worth > 0.0 else 0.0

@@ -349,3 +349,18 @@ def test_instances_remember_the_colour_of_their_masks() -> None:
     assert tint[:3] == pytest.approx((200, 100, 50))
     again = InstanceMap.from_state(world.map.state())
     assert again.instances[1].tint == pytest.approx(tint)
+
+
+@pytest.mark.parametrize(("later", "same"), [((200, 40, 40), True), ((100, 20, 20), True), ((40, 40, 200), False)])
+def test_a_thing_of_another_colour_in_the_same_place_is_another_and_one_in_the_shade_is_not(later, same) -> None:
+    world = Watching(box("crate", 0.0, 0.0, 1))
+    eyes = ((1.4, 0.0, 1.0), (0.0, 1.4, 1.0), (-1.4, 0.0, 1.0), (0.0, -1.4, 1.0))
+    for color, start in (((200, 40, 40), 0), (later, 10 * MINUTE_NS)):
+        for n, eye in enumerate(eyes):
+            image = world.scene.image(looking_at(eye, (0.0, 0.0, 0.1)), start + n + 1)
+            seen = segment(image, image.depth_m, world.things)
+            shown = np.broadcast_to(np.array(color, np.uint8), (CAMERA.height, CAMERA.width, 3))
+            pose = image.T_map_camera or SE3.identity()
+            world.map.integrate_image(seen, image.depth_m, CAMERA, pose, image.stamp_ns, color=shown)
+    assert (world.ids == [1]) == same
+    assert len(world.ids) == 1
