@@ -29,7 +29,7 @@ from scenegraph.graph import Delta, Edge, EdgeKey, GraphChanges, Node, SceneGrap
 from scenegraph.relating import Thresholds, follow
 from scenegraph.rigid import moved
 
-__all__ = ["Corrections", "Sighting", "Sightings", "alike", "motions", "realign", "shares_in"]
+__all__ = ["Corrections", "Sighting", "Sightings", "alike", "carried", "motions", "realign", "shares_in"]
 
 MOST_SIGHTINGS = 8
 """So many times at which it was seen are kept of each node; the closest ones become one that weighs as much as both."""
@@ -41,6 +41,7 @@ LEAST_TURN = 1e-5
 ALIKE_M = 0.01
 ALIKE_TURN = np.radians(0.5)
 """Two things moved alike when they keep their places to each other to within this."""
+_FAR_TURN = 2.0**1.5 * np.sin(0.5 * ALIKE_TURN)  # Frobenius distance of rotations that differ by as much
 
 
 class Corrections:
@@ -143,18 +144,24 @@ class _Finder:
     def motion(self, node: Node) -> SE3 | None:
         """How a node moves; None when nothing says so, and it is what it holds that moves."""
         if node.layer == "agent":
-            mine = node.attributes.get("name") == self.corrections.robot or node.id == f"agent_{self.corrections.robot}"
-            return self.corrections.at(node.last_seen_ns) if mine else SE3.identity()
+            return self.corrections.at(node.last_seen_ns) if self.is_robot(node) else SE3.identity()
+        if node.layer == "building":
+            return SE3.identity()
         seen = () if self.sightings is None else self.sightings.of(node.id)
         if seen:
             moves = [
                 self.corrections.at(s.stamp_ns) if s.robot == self.corrections.robot else SE3.identity() for s in seen
             ]
             return _mean(moves, [s.weight for s in seen], node.position)
-        if node.layer in ("building", "storey", "room"):
+        if node.layer in ("storey", "room"):
             return None
         stamps = np.linspace(node.first_seen_ns, node.last_seen_ns, SAMPLES).astype(np.int64).tolist()
         return _mean([self.corrections.at(stamp_ns) for stamp_ns in stamps], [1.0] * SAMPLES, node.position)
+
+    def is_robot(self, node: Node) -> bool:
+        """Whether the node is the robot whose poses are corrected."""
+        robot = self.corrections.robot
+        return node.layer == "agent" and (node.attributes.get("name") == robot or node.id == f"agent_{robot}")
 
     def motion_of_parts(self, node: Node, known: Mapping[str, SE3]) -> SE3:
         """The mean motion of what is in a room or storey."""
@@ -164,7 +171,7 @@ class _Finder:
 
 
 def motions(graph: SceneGraph, corrections: Corrections, sightings: Sightings | None = None) -> dict[str, SE3]:
-    """How each node of the graph moves, but for those that do not.
+    """How each node of the graph moves, but for those that do not. The robot itself is always there: its way changes.
 
     sightings : when each was seen, by whom; None, or nothing of a node: evenly between its first and last sight. Rooms
         and storeys of which nothing is kept move as what is in them; a building, the frame of it all, never moves.
@@ -182,7 +189,20 @@ def motions(graph: SceneGraph, corrections: Corrections, sightings: Sightings | 
         for node in waiting:
             if node.layer == layer:
                 found[node.id] = finder.motion_of_parts(node, found)
-    return {i: T for i, T in found.items() if graph.node(i).layer != "building" and _moves(T, graph.node(i))}
+    return {i: T for i, T in found.items() if _moves(T, graph.node(i)) or finder.is_robot(graph.node(i))}
+
+
+def carried(graph: SceneGraph, moves: Mapping[str, SE3], corrections: Corrections) -> list[Node]:
+    """The nodes as they are after their motions; of the robot's way each point by the correction at its time."""
+    nodes = []
+    for node_id, T in moves.items():
+        node = moved(graph.node(node_id), T)
+        way, times = (graph.node(node_id).attributes.get(name) for name in ("trajectory", "trajectory_ns"))
+        if node.layer == "agent" and isinstance(way, list) and isinstance(times, list) and len(way) == len(times):
+            points = [corrections.at(int(t)) @ np.asarray(p, np.float64) for p, t in zip(way, times, strict=True)]
+            node = node.replace(attributes={**node.attributes, "trajectory": np.round(points, 3)})
+        nodes.append(node)
+    return nodes
 
 
 def realign(
@@ -197,8 +217,8 @@ def realign(
     """
     moves = motions(graph, corrections, sightings)
     changes = GraphChanges()
-    for node_id, T in moves.items():
-        changes.put(moved(graph.node(node_id), T))
+    for node in carried(graph, moves, corrections):
+        changes.put(node)
     anew = GraphChanges()
     anew.extend(changes)
     follow(graph, anew, thresholds)
@@ -216,11 +236,10 @@ def alike(graph: SceneGraph, moves: Mapping[str, SE3], one: str, other: str) -> 
     if a is None and b is None:
         return True
     a, b = a or SE3.identity(), b or SE3.identity()
-    between = a.inverse() @ b
-    if _turn(between) > ALIKE_TURN:
+    if np.linalg.norm(a.rotation - b.rotation) > _FAR_TURN:
         return False
     middle = 0.5 * (graph.node(one).position + graph.node(other).position)
-    return bool(np.linalg.norm(between @ middle - middle) <= ALIKE_M)
+    return bool(np.linalg.norm(a @ middle - b @ middle) <= ALIKE_M)
 
 
 def shares_in(ground: NDArray[Any], rooms: Iterable[Node]) -> dict[str, float]:

@@ -56,7 +56,7 @@ def _moved_attribute(name: str, value: Any, node: Node, T: SE3) -> Any:
             return np.round((T @ corners)[:, :2], _DIGITS).tolist()
         if name == "polygon":
             return [np.round(T @ np.array(ring, np.float64), _DIGITS).tolist() for ring in value]
-        if name == "boundary":
+        if name in ("boundary", "trajectory"):
             return np.round(T @ np.array(value, np.float64).reshape(-1, 3), _DIGITS).tolist()
         if name == "moved_from":
             return np.round(T @ np.array(value, np.float64), _DIGITS).tolist()

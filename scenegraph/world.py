@@ -173,7 +173,7 @@ class World:
         moves = motions(self.graph, corrections, self.sightings)
         source = f"{robot}/correction@{correction.stamp_ns}"
         return self._commit(
-            self.perception.realign(moves, self.graph, source, correction.stamp_ns), correction.stamp_ns
+            self.perception.realign(moves, corrections, self.graph, source, correction.stamp_ns), correction.stamp_ns
         )
 
     def _seen(self, changes: GraphChanges, by: RgbdImage | Scan | Detections) -> Delta:

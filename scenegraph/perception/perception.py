@@ -32,7 +32,7 @@ from scenegraph.perception.relations import MeasurementChange, Relations
 from scenegraph.perception.rooms import Rooms
 from scenegraph.perception.shapes import Shape
 from scenegraph.perception.structure import Structure
-from scenegraph.realigning import alike, shares_in
+from scenegraph.realigning import Corrections, alike, carried, shares_in
 from scenegraph.rigid import moved
 from scenegraph.statements import FORMS, Statement
 
@@ -119,11 +119,13 @@ class Perception:
         self._meaning.infer(changes, measured, {agent}, graph, source, observation.stamp_ns, {agent})
         return changes
 
-    def realign(self, moves: Mapping[str, SE3], graph: SceneGraph, source: str, stamp_ns: int) -> GraphChanges:
+    def realign(
+        self, moves: Mapping[str, SE3], corrections: Corrections, graph: SceneGraph, source: str, stamp_ns: int
+    ) -> GraphChanges:
         """Move nodes, and measure anew what lies between things that did not move alike; the map stays as it is."""
         changes = GraphChanges()
-        for node_id, T in moves.items():
-            changes.put(moved(graph.node(node_id), T))
+        for node in carried(graph, moves, corrections):
+            changes.put(node)
         things = moves.keys() & self.objects.shapes.keys()
         before = self.relations.between(things)
         for thing in things:

@@ -17,7 +17,7 @@ from reasoning.knowledge import KnowledgeBase
 from scenegraph.errors import InvalidGraphValue
 from scenegraph.graph import Box, Delta, GraphChanges, Node, SceneGraph, Tombstone
 from scenegraph.graph.delta import NodeChanges
-from scenegraph.realigning import MOST_SIGHTINGS, Corrections, Sightings, motions, realign
+from scenegraph.realigning import MOST_SIGHTINGS, Corrections, Sightings, carried, motions, realign
 from scenegraph.relating import Thresholds, relate
 from scenegraph.rigid import moved
 from tests.support import small_home
@@ -186,6 +186,20 @@ def test_rooms_go_with_what_is_in_them_and_robots_with_their_last_pose() -> None
     assert "building_1" not in moves
 
 
+def test_each_point_of_a_robots_way_moves_by_the_correction_at_its_time() -> None:
+    way = {"trajectory": [[0, 0, 0], [1, 0, 0], [2, 0, 0]], "trajectory_ns": [100, 150, 200], "name": "spot"}
+    robot = Node(
+        id="agent_spot", layer="agent", label="robot", position=(2, 0, 0), first_seen_ns=100, last_seen_ns=5000,
+        attributes=way,
+    )  # fmt: skip
+    graph = graph_of(robot)
+    corrections = correction((100, HERE), (200, turned(0.0, 0.0, 1.0)))
+    moves = motions(graph, corrections)
+    [after] = carried(graph, moves, corrections)
+    assert after.attributes["trajectory"] == [[0, 0, 0], [1, 0.5, 0], [2, 1, 0]]
+    assert after.position.tolist() == [2, 0, 0]  # a pose that came after the correction is right
+
+
 def test_what_another_robot_saw_counts_against_it() -> None:
     graph = graph_of(thing("object_1", 0.0, 10, 20))
     sightings = Sightings()
@@ -286,7 +300,8 @@ def test_believed_poses_are_looked_up_and_corrected(copy_home: Callable[[], Worl
     world.integrate(PoseCorrection(stamp_ns=stamp, robot="spot", poses=(told,)))
     assert world.frames.lookup("spot", "map", "base_link", stamp).translation[0] == pytest.approx(1.2)
     assert world.frames.lookup("spot", "map", "base_link", start).translation[0] == 0.0
-    assert world.graph.node("agent_spot").position[0] == pytest.approx(1.2)
+    robot = world.graph.node("agent_spot")
+    assert robot.position[0] == pytest.approx(1.2)
     unknown = CorrectedPose(stamp_ns=1, T_map_base=HERE)
     with pytest.raises(PoseUnavailable):
         world.integrate(PoseCorrection(stamp_ns=stamp, robot="nobody", poses=(unknown,)))
