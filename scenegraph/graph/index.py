@@ -7,7 +7,7 @@ value beside it, and crosses out the row that it replaces.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Self, overload
+from typing import Self, TypeVar, overload
 
 import numpy as np
 
@@ -20,6 +20,7 @@ __all__ = ["GraphIndex", "Nearby", "NodeIndex"]
 
 _ByPair = dict[tuple[str, str], Edge]
 _ByEnd = dict[str, dict[str, dict[str, Edge]]]  # one end -> relation -> the other end -> edge
+T = TypeVar("T")
 _Names = dict[str, dict[str, None]]
 
 
@@ -86,6 +87,14 @@ class NodeIndex(Mapping[str, Node]):
 
     def __getitem__(self, node_id: str) -> Node:
         return self.at(self.slot_of[node_id])
+
+    @overload
+    def get(self, node_id: str, default: None = None, /) -> Node | None: ...
+    @overload
+    def get(self, node_id: str, default: Node | T, /) -> Node | T: ...
+    def get(self, node_id: str, default: Node | T | None = None, /) -> Node | T | None:
+        slot = self.slot_of.get(node_id)
+        return default if slot is None else self.at(slot)
 
     def at(self, slot: int) -> Node:
         """The node in a slot that is taken."""
@@ -243,7 +252,8 @@ class GraphIndex:
     # -- edges --------------------------------------------------------------------------------------------------------
 
     def put_edge(self, edge: Edge) -> None:
-        self._drop_stored(edge.key)
+        if self._stored is not None:
+            self._drop_stored(edge.key)
         pairs = self._by_relation.setdefault(edge.relation, {})
         pair = (edge.source, edge.target)
         self.n_edges += pair not in pairs

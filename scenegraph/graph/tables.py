@@ -143,11 +143,11 @@ class NodeTable(_Table[Node]):
         )
 
     @classmethod
-    def of(cls, nodes: Iterable[Node]) -> NodeTable:
-        """The table of these nodes. Raises InvariantViolated when an id is there twice."""
+    def of(cls, nodes: Iterable[Node], *, different: bool = True) -> NodeTable:
+        """The table of these nodes. Raises InvariantViolated when an id is there twice but all must be different."""
         rows = list(nodes)
         names = tuple(node.id for node in rows)
-        if len(set(names)) != len(names):
+        if different and len(set(names)) != len(names):
             raise InvariantViolated("two nodes have the same id")
         labels = {node.label: None for node in rows}
         code = {label: i for i, label in enumerate(labels)}
