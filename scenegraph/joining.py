@@ -5,8 +5,9 @@ best of both; what is new gets an id that is free; edges follow. Nothing of ours
 thing that only one has seen may have been out of the other's sight. That two graphs show one thing in two places is
 no conflict either, but two things: whether one was moved is for those to tell who looked (`scenegraph.events`).
 
-Only the graphs are joined. The maps below them are merged layer by layer; until that is done, what is seen again is
-measured by our own map. Between things of ours and of theirs no relation is measured here: see `scenegraph.relating`.
+Only the graphs are joined, not the maps below them, which are merged layer by layer; so it is stored graphs that are
+joined, and asked as graphs (`scenegraph.importing`): the rules of a world that goes on mapping know only what that
+mapped. Between things of ours and of theirs nothing is measured here; `scenegraph.relating.follow` does it from boxes.
 
 Joining a graph with itself changes nothing, joining the same one twice no more than once, and which one is *ours*
 decides ids and names, but not what there is.
