@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from mapping.geometry import SE3
 from mapping.kernels import columns, shapes
@@ -39,6 +40,9 @@ SIDE_NEAR_M = 0.02
 """Points that look for the direction of a box, and how close to its side is close enough: the noise of its surface."""
 FOOTING_HEIGHT_M = 0.03
 """Columns whose lowest material lies within this of the lowest point carry the thing (`contact_gap` in the rules)."""
+CLOSE_M = 0.15
+"""Nearer than this it matters to the centimetre how far two things are apart."""
+MOST_COMPARED = 400_000
 HEAD_HEIGHT_M = 0.05
 """The topmost part of a thing, by which it hangs."""
 HEADROOM_M = 0.10
@@ -175,16 +179,29 @@ class Shape:
     def distance_m(self, other: Shape) -> tuple[float, Array, Array]:
         """Least distance between the points of both, and a pair of points (3,), (3,) that attains it.
 
-        Coarse points first, then all points around the coarse pair: exact when the pair is near the true one.
+        Coarse points first, then all points around the coarse pair; within CLOSE_M all points that can be nearest, so
+        exactly.
         """
         reach, i, j = shapes.nearest_pair(self.coarse, other.coarse)
         p, q = self.coarse[i], other.coarse[j]
+        if reach <= CLOSE_M:
+            return self._exactly(other, reach + 1e-4)
         mine = self.points[shapes.within(self.points, q, reach + 1e-4)]
         theirs = other.points[shapes.within(other.points, p, reach + 1e-4)]
-        if len(mine) * len(theirs) == 0 or len(mine) * len(theirs) > 400_000:
+        if len(mine) * len(theirs) == 0 or len(mine) * len(theirs) > MOST_COMPARED:
             return reach, p, q
         least, i, j = shapes.nearest_pair(mine, theirs)
         return float(least), mine[i], theirs[j]
+
+    def _exactly(self, other: Shape, reach: float) -> tuple[float, Array, Array]:
+        """The nearest points of two things that are known to be within `reach` [m]."""
+        mine, theirs = _beside(self.points, other.bounds, reach), _beside(other.points, self.bounds, reach)
+        if len(mine) * len(theirs) <= MOST_COMPARED:
+            least, i, j = shapes.nearest_pair(mine, theirs)
+            return float(least), mine[i], theirs[j]
+        distance, at = cKDTree(theirs).query(mine)
+        k = int(distance.argmin())
+        return float(distance[k]), mine[k], theirs[at[k]]
 
     def line_to(self, other: Shape, reach: float) -> tuple[Array, Array]:
         """The ends (3,), (3,) of a line between nearest points: of all that are within `reach`, give or take a coarse
@@ -195,6 +212,12 @@ class Shape:
             _, p, q = self.distance_m(other)
             return p, q
         return self.coarse[i], other.coarse[j]
+
+
+def _beside(points: NDArray[np.float32], bounds: tuple[Array, Array], reach: float) -> NDArray[np.float32]:
+    """The points (N, 3) that lie within `reach` of a box along every axis."""
+    kept: NDArray[np.float32] = points[((points >= bounds[0] - reach) & (points <= bounds[1] + reach)).all(axis=1)]
+    return kept
 
 
 def _parts_of_one(points: NDArray[np.float32], weights: NDArray[np.float32]) -> Array:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import random
 from itertools import combinations, permutations
 from typing import Any
 
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shapely import affinity
 
 from reasoning import KnowledgeBase
 from tests.reasoning.homes import fact
@@ -145,6 +148,67 @@ def test_every_way_of_asking_gives_the_same(empty: KnowledgeBase, world: Measure
         assert {str(row["A"]) for row in empty.call(f"holds({name}, A, {thing})")} == {
             a for a, b in unbound if b == thing
         }
+
+
+boxes = st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(0.05, 2), st.floats(0.05, 2), st.floats(-3.2, 3.2))
+
+
+def rectangle(x: float, y: float, length: float, width: float, yaw: float) -> shapely.Polygon:
+    upright = shapely.box(-length / 2, -width / 2, length / 2, width / 2)
+    return affinity.translate(affinity.rotate(upright, yaw, (0, 0), use_radians=True), x, y)
+
+
+@settings(max_examples=60, deadline=None)
+@given(three=st.tuples(boxes, boxes, boxes), turn=st.floats(-3.2, 3.2))
+def test_between_is_the_share_of_the_footprint_in_the_hull_of_two_and_outside_both(
+    empty: KnowledgeBase, three: tuple[Any, Any, Any], turn: float
+) -> None:
+    a, b, c = (rectangle(*row) for row in three)
+    share = a.intersection(shapely.union_all([b, c]).convex_hull).difference(shapely.union_all([b, c])).area / a.area
+    for angle in (0.0, turn):
+        facts = []
+        for name, (x, y, length, width, yaw) in zip("abc", three, strict=True):
+            at = affinity.rotate(shapely.Point(x, y), angle, (0, 0), use_radians=True)
+            facts += [
+                fact("node", name, "object"), fact("position", name, at.x, at.y, 0.5),
+                fact("size", name, length, width, 1.0), fact("yaw", name, yaw + angle),
+            ]  # fmt: skip
+        empty.update(facts, forget=[*THINGS, *ROOMS])
+        for goal in ("lies_between(a, b, c, S)", "lies_between(a, c, b, S)"):
+            rows = empty.call(goal)
+            if abs(share - 0.5) > 1e-6:
+                assert [round(float(row["S"]), 5) for row in rows] == ([round(share, 5)] if share >= 0.5 else [])  # type: ignore[arg-type]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    thing=st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5)),
+    viewer=st.tuples(st.floats(-9, 9), st.floats(-9, 9)),
+    turn=st.floats(-3.2, 3.2),
+)
+def test_the_opposite_viewer_exchanges_sides_and_turning_the_world_does_not(
+    empty: KnowledgeBase, thing: tuple[float, float], viewer: tuple[float, float], turn: float
+) -> None:
+    x, y, vx, vy = *thing, *viewer
+    if math.hypot(x, y) < 0.1 or math.hypot(vx, vy) < 0.1:
+        return
+    bearing = (math.degrees(math.atan2(y, x) - math.atan2(vy, vx)) + 45) % 90
+    if min(bearing, 90 - bearing) < 1e-3:  # on the border between two sectors rounding decides
+        return
+    c, s = math.cos(turn), math.sin(turn)
+
+    def told(x: float, y: float, viewer: tuple[float, float]) -> set[str]:
+        empty.update(
+            [fact("node", "a", "object"), fact("node", "b", "object"),
+             fact("position", "a", x, y, 0.0), fact("position", "b", 0.0, 0.0, 0.0)],
+            forget=[*THINGS, *ROOMS],
+        )  # fmt: skip
+        return {str(row["R"]) for row in empty.call(f"seen_from(R, a, b, point({viewer[0]}, {viewer[1]}, 1.0), _)")}
+
+    [side] = told(x, y, viewer)
+    opposite = {"left_of": "right_of", "right_of": "left_of", "in_front_of": "behind", "behind": "in_front_of"}
+    assert told(x, y, (-vx, -vy)) == {opposite[side]}
+    assert told(c * x - s * y, s * x + c * y, (c * vx - s * vy, s * vx + c * vy)) == {side}
 
 
 def acyclic(pairs: set[tuple[str, str]]) -> bool:

@@ -21,7 +21,7 @@ PARTS = {
     "shelf": surface(box((0.8, 0.3, 1.2)), step=0.05),
     "cup": cup(),
 }
-SYMMETRIC = ("near", "touching")
+SYMMETRIC = ("near", "next_to", "touching")
 INVERSE = (("on", "supports"), ("in", "contains"), ("above", "under"))
 RULES = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
@@ -90,6 +90,9 @@ def test_the_laws_hold_in_random_rooms(rules: KnowledgeBase, rows: Arrangement) 
         assert pairs(relation) == {(b, a) for a, b in pairs(relation)}
     assert not pairs("above") & pairs("on")
     assert not any(a == b for _, a, b in edges)
+    assert pairs("next_to") <= pairs("near")
+    assert pairs("on") <= pairs("touching") | {(a, b) for a, b in pairs("on") if b.startswith("plane")}
+    assert not {a for a, _ in pairs("on")} & {a for a, _ in pairs("attached_to") | pairs("hanging_from")}
     rooms = [(a, b) for a, b in pairs("in") if b.startswith("room")]
     assert len({a for a, _ in rooms}) == len(rooms), "a thing is in at most one room"
     room_of = dict(rooms)
