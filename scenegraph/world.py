@@ -226,7 +226,10 @@ class World:
         return finder.find(phrase, robot)
 
     def tell(self, statement: str, *, author: str, reason: str = "") -> TellResult:
-        """State something: `fact(T)`, `retract(T)`, `rename(Id, Name)`, `set(Id, Attribute, Value)`, `delete(Id)`."""
+        """State something: `fact(T)`, `retract(T)`, `rename(Id, Name)`, `set(Id, Attribute, Value)`, `delete(Id)`,
+        `merge(Id, Id)` of two things or two rooms, `room(Name, Polygon)`, `room(Name, Polygon, Storey)`, `split(Room,
+        [[X, Y], [X, Y]])`. Mapping on keeps it.
+        """
         try:
             told = statements.read(statement, author, reason, self.graph.stamp_ns, self._knowledge)
             changes = self.perception.obey(told, self.graph)

@@ -10,6 +10,8 @@ import pytest
 from mapping.layer import Changed
 from mapping.occupancy import OccupancyMap
 from mapping.planes import Plane
+from reasoning.knowledge import KnowledgeBase
+from reasoning.terms import Atom, Compound, Var
 from scenegraph.errors import InvalidStatement
 from scenegraph.graph import GraphChanges, Node, SceneGraph
 from scenegraph.perception import told_rooms
@@ -319,6 +321,30 @@ def test_without_a_floor_there_is_no_room() -> None:
     home.see(LEFT, structure=TWO_WALLS[1:])
     assert home.ids == []
     assert home.at(2.0, 2.0) is None
+
+
+@pytest.mark.parametrize(
+    ("told", "kind", "reason"), [(None, "outdoors", "open_sky"), ("terrace", "terrace", "told"), ("no bed", None, None)]
+)
+def test_what_lies_under_the_sky_is_outdoors_whatever_stands_there(
+    told: str | None, kind: str | None, reason: str | None
+) -> None:
+    with KnowledgeBase() as rules:
+        room, bench = Atom("room_1"), Atom("object_1")
+        outside = told != "no bed"
+        facts = [
+            Compound("node", (room, Atom("room"))),
+            Compound("node", (bench, Atom("object"))),
+            Compound("label", (bench, Atom("stool"))),
+            Compound("measured", (Atom("footprint_share"), bench, room, 1.0)),
+            Compound("attribute", (room, Atom("outdoors"), Atom("true" if outside else "false"))),
+        ]
+        if told is not None and outside:
+            facts.append(Compound("attribute", (room, Atom("type"), Atom(told))))
+        rules.update(put=facts)
+        answers = rules.call(Compound("room_type", (room, Var("Type"), Var("Reason"))))
+        assert [(str(a["Type"]), str(a["Reason"])) for a in answers] == ([(kind, reason)] if kind else [])
+        assert rules.ask("in(X, outdoors)").truth == ("true" if kind == "outdoors" else "false" if told else "unknown")
 
 
 # -- rooms that an operator draws, splits and merges -------------------------------------------------------------------
