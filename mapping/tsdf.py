@@ -42,7 +42,8 @@ class TsdfMap(BlockLayer):
     max_weight      the running mean's memory: at this weight new measurements begin to displace old ones
     carve           whether voxels of existing blocks that an image sees in front of its surface become free, so that
                     what has gone goes from the map (a block that is made later missed what was seen before: this
-                    depends on the order of images); otherwise only the band about the surface is updated
+                    depends on the order of images); free space is remembered for a few views only, so that what comes
+                    appears. Otherwise only the band about the surface is updated
     with_color      keep colours from the beginning; otherwise from the first image that has any
 
     Measurements count little from two voxels behind their surface on, so that the sides of a thin thing stay apart.

@@ -28,6 +28,11 @@ CHUNK = 4096
 """Points that one thread looks up at a time."""
 
 
+FREE_VIEWS = 2.0
+"""Space that was never seen to be anything but free is remembered for so many views, from 2 m where these count by
+distance: what comes there is to show soon."""
+
+
 @njit(cache=True, inline="always")
 def trust(voxels: Float, slack: Float) -> Float:
     """The weight of a signed distance [voxels]: 1 up to 1 + slack behind the surface, BEHIND from one more on.
@@ -66,6 +71,7 @@ def fold_block(
     per_voxel = np.float32(1.0 / voxel_size)
     front = np.float32(np.inf) if carve else tau
     highest = np.float32(max_weight)
+    freest = np.float32(FREE_VIEWS * (0.25 if inverse_square else 1.0)) if carve else highest
     noise = np.float32(slack)
     difference = np.uint8(0)
     for w in range(512):
@@ -76,7 +82,7 @@ def fold_block(
         old, had = distance[slot, w], weight[slot, w]
         total = had + gain
         mean = (old * had + new * gain) / total
-        total = min(total, highest)
+        total = min(total, freest if mean >= tau else highest)
         update = (s[w] > -tau) & (s[w] <= front)
         mean = mean if update else old
         total = total if update else had
