@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+import sys
 from pathlib import Path
 
 import networkx as nx
@@ -276,3 +277,10 @@ def test_what_is_no_world_is_told_as_before(tmp_path: Path) -> None:
     (tmp_path / "some.world").write_bytes(b"\x00\x01" * 50)
     with pytest.raises(StoreForeign, match="not a stored world"):
         open_map(tmp_path / "some.world")
+
+
+def test_parquet_without_its_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(ExportError, match="pyarrow") as caught:
+        render_graph(home(), "parquet")
+    assert "tables" in str(caught.value.hint)

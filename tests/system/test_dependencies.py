@@ -13,7 +13,7 @@ from scenegraph.doctor import MODULES
 ROOT = Path(__file__).parents[2]
 OURS = ("mapping", "reasoning", "rules", "scenegraph")
 DISTRIBUTIONS = {**MODULES, "pydantic_core": "pydantic"}
-OPTIONAL = {"spark_dsg"}  # imported where an export is asked for, with an error that says what to install
+OPTIONAL = {"spark_dsg", "pyarrow"}  # imported where an export is asked for, with an error that says what to install
 
 
 def imported() -> dict[str, Path]:
