@@ -33,7 +33,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
 
 
-FIRST, OWN_CAMERA, CLIENT, WITHOUT_US, LAYERS, SEMANTIC = blocks("python")
+FIRST, OWN_CAMERA, CLIENT, WITHOUT_US, LAYERS, SEMANTIC, BOXES = blocks("python")
 
 
 def commands() -> list[list[str]]:
@@ -123,6 +123,12 @@ def test_a_map_tells_of_its_labels_as_the_readme_says(tmp_path, monkeypatch):
     assert given["held"].unseen > 0
     assert len(given["mesh"].labels) == len(given["mesh"].vertices)
     assert Path("cloud.ply").stat().st_size > 1000
+
+
+def test_boxes_become_a_graph_as_the_readme_says(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(BOXES, "README", "exec"), {})
+    assert "cup_1 0.17 ['table_1']" in capsys.readouterr().out
 
 
 def test_the_rules_of_the_readme_are_accepted(tmp_path):
