@@ -264,12 +264,12 @@ class InstanceMap(PackedLayer):
         if known.views <= CONFIRMED_VIEWS and stamp_ns - known.last_seen_ns > SLIP_S * 1e9:
             known.views = known.doubts = 0
             known.first_seen_ns, known.labels, known.tint = stamp_ns, {}, NO_TINT
-        known.last_seen_ns = max(known.last_seen_ns, stamp_ns)
         known.views += 1
         known.labels[label] = known.labels.get(label, 0.0) + worth
         self._classify(known)
         if label == known.label and not _another_colour(known.tint, tint):
             known.own_ns, known.strangers = stamp_ns, 0
+            known.last_seen_ns = max(known.last_seen_ns, stamp_ns)
             known.tint = _mixed(known.tint, tint)
         elif stamp_ns - known.own_ns > SLIP_S * 1e9:
             known.strangers += 1
