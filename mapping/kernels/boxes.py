@@ -57,11 +57,11 @@ def bounds_of(center: Array, half: Array, axes: Array, low: Array, high: Array) 
 def footprints_of(center: Array, half: Array, axes: Array) -> tuple[Array, Array, Array, Array]:
     """The ground projections of boxes and the rectangles about them along their longest horizontal direction.
 
-    Returns corners (n, 6, 2), counter-clockwise, their number (n,), the area (n,) [m²], and the rectangles (n, 6):
-    centre x, y, unit direction of the length, half length, half width.
+    Returns corners (n, 8, 2), counter-clockwise, their number (n,) (6 at most, but for rounding), the area (n,) [m²],
+    and the rectangles (n, 6): centre x, y, unit direction of the length, half length, half width.
     """
     n_boxes = len(center)
-    corners = np.zeros((n_boxes, 6, 2))
+    corners = np.zeros((n_boxes, 8, 2))
     count = np.zeros(n_boxes, np.int64)
     area = np.zeros(n_boxes)
     rectangle = np.empty((n_boxes, 6))
@@ -92,7 +92,7 @@ def footprints_of(center: Array, half: Array, axes: Array) -> tuple[Array, Array
                     for k in range(3):
                         points[m, r] += (half[n, k] if m >> k & 1 else -half[n, k]) * axes[n, r, k]
             hull = convex_hull(points)
-            count[n] = min(6, len(hull))
+            count[n] = len(hull)
             corners[n, : count[n]] = hull[: count[n]]
             area[n] = abs(polygon_area(hull)) if len(hull) > 2 else 0.0
     return corners, count, area, rectangle
