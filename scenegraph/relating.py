@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from mapping.kernels import boxes as kernels
 from reasoning.knowledge import KnowledgeBase
 from reasoning.terms import Atom, Compound
+from scenegraph.collector import collector_paused
 from scenegraph.facts import class_atom
-from scenegraph.graph import LAYERS, EdgeKey, EdgeTable, GraphChanges, Layer, Node, NodeTable, SceneGraph
+from scenegraph.graph import LAYERS, Edge, EdgeKey, EdgeTable, GraphChanges, Layer, Node, NodeTable, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 
 __all__ = ["RELATIONS", "Measured", "Thresholds", "follow", "measure", "relate"]
@@ -516,6 +517,7 @@ def _decide_above(measured: Measured, thresholds: Thresholds, on: tuple[Array, A
 # -- following changes ------------------------------------------------------------------------------------------------
 
 
+@collector_paused()
 def follow(graph: SceneGraph, changes: GraphChanges, thresholds: Thresholds) -> None:
     """Add to changes of a graph of boxes the relations that then hold, and take away those that hold no longer.
 
@@ -532,8 +534,9 @@ def follow(graph: SceneGraph, changes: GraphChanges, thresholds: Thresholds) -> 
     table = NodeTable.of(around.nodes)
     local = decide(measure(table, thresholds, np.array([i in around.focus for i in table.ids], np.bool_)), thresholds)
     for edge in local.rows(around.settled(local)):
-        stale.discard(edge.key)
-        known = graph.edge(*edge.key)
+        key = edge.key
+        stale.discard(key)
+        known = around.known(key)
         if known is None:
             changes.put(edge)
         elif (known.value, known.threshold) != (edge.value, edge.threshold):
@@ -565,6 +568,7 @@ class _Around:
     def __init__(self, graph: SceneGraph, moved: dict[str, Node], gone: set[str], thresholds: Thresholds) -> None:
         self._graph, self._moved, self._gone = graph, moved, gone
         self._before: dict[str, Node] = {}
+        self._known: dict[EdgeKey, Edge] = {}
         margin, reach = thresholds.contact_gap + 1e-3, thresholds.near_most
         column = np.array([0.0, 0.0, OVER_REACH_M])
         asked = {*moved, *gone}
@@ -595,18 +599,23 @@ class _Around:
 
     def settled_edges(self) -> set[EdgeKey]:
         """The edges of the graph of which what is known here says whether they still hold."""
-        keys: set[EdgeKey] = set()
+        known = self._known
         for node_id in self.unsettled:
             if node_id not in self._graph:
                 continue
             if node_id in self.changed:
-                keys.update(edge.key for edge in self._graph.edges_of(node_id) if edge.relation in RELATIONS)
+                known.update((e.key, e) for e in self._graph.edges_of(node_id) if e.relation in RELATIONS)
             else:
-                keys.update(edge.key for edge in self._graph.edges("on", source=node_id))
-                inside = (edge.key for edge in self._graph.edges("in", source=node_id))
-                keys.update(key for key in inside if self._layer(key.target) == "room")
-        keys |= {EdgeKey(_INVERSE[relation], target, source) for relation, source, target in keys}
+                known.update((e.key, e) for e in self._graph.edges("on", source=node_id))
+                inside = self._graph.edges("in", source=node_id)
+                known.update((e.key, e) for e in inside if self._layer(e.target) == "room")
+        keys = known.keys() | {EdgeKey(_INVERSE[relation], target, source) for relation, source, target in known}
         return {key for key in keys if key.relation not in ("in", "contains") or self._holds_things(key)}
+
+    def known(self, key: EdgeKey) -> Edge | None:
+        """The edge of the graph as it was before the change."""
+        edge = self._known.get(key)
+        return self._graph.edge(*key) if edge is None else edge
 
     def _holds_things(self, key: EdgeKey) -> bool:
         """Whether what contains is a thing or a room: that a room is in a storey is no measurement."""

@@ -59,7 +59,8 @@ class Objects:
 
     def is_node(self, instance_ids: Array) -> Array:
         """(N,) bool: whether the things behind these instance ids (N,) are nodes."""
-        return np.isin(instance_ids, list(self._node_of))
+        ids, which = np.unique(instance_ids, return_inverse=True)
+        return np.array([i in self._node_of for i in ids.tolist()], np.bool_)[which]
 
     def update(
         self, instances: InstanceMap, change: InstanceChange, graph: SceneGraph, view: DepthView | None = None,
