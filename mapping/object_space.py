@@ -36,7 +36,6 @@ from mapping.view import as_camera, as_depth_m, as_pose
 Array: TypeAlias = NDArray[Any]
 
 BLEED_PX = 8
-RIM = 2.0
 """How far masks reach beyond their object at most [px]."""
 STEP_VOXELS = 2.0
 """Neighbouring pixels whose depths differ by no more than this are taken for one surface."""

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mapping.kernels.forest import join, root_of
 from mapping.kernels.hashing import lookup
 
 Array: TypeAlias = NDArray[Any]
@@ -79,6 +80,15 @@ def _blocks_around(table: Array, block_ijk: Array, slot: Int, around: Array) -> 
         )
 
 
+@njit(cache=True, inline="always")
+def _beside(around: Array, local: Int, step: Int) -> tuple[Int, Int]:
+    """The slot, −1 where there is none, and the place in its block of the neighbour `step` (0 … 26) of a voxel."""
+    i = (local >> 6) + step // 9 - 1
+    j = (local >> 3 & 7) + step // 3 % 3 - 1
+    k = (local & 7) + step % 3 - 1
+    return around[((i >> 3) + 1) * 9 + ((j >> 3) + 1) * 3 + (k >> 3) + 1], (i & 7) << 6 | (j & 7) << 3 | (k & 7)
+
+
 @njit(cache=True)
 def touch(table: Array, block_ijk: Array, code: Array, component: Array, cells: Array, marked: Array) -> None:
     """Mark the components (C,) bool that are linked to one of the voxels `cells` (n,), in place."""
@@ -93,13 +103,9 @@ def touch(table: Array, block_ijk: Array, code: Array, component: Array, cells: 
             _blocks_around(table, block_ijk, slot, around)
             at = slot
         for step in range(27):
-            i = (local >> 6) + step // 9 - 1
-            j = (local >> 3 & 7) + step // 3 % 3 - 1
-            k = (local & 7) + step % 3 - 1
-            other = around[((i >> 3) + 1) * 9 + ((j >> 3) + 1) * 3 + (k >> 3) + 1]
+            other, there = _beside(around, local, step)
             if other < 0:
                 continue
-            there = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
             found = component[other, there]
             if found > 0 and not marked[found] and linked(mine, code[other, there], step % 3 - 1):
                 marked[found] = True
@@ -131,14 +137,6 @@ def collect(code: Array, component: Array, slots: Array, marked: Array, cells: A
 
 
 @njit(cache=True)
-def _root(parent: Array, n: Int) -> Int:
-    while parent[n] != n:
-        parent[n] = parent[parent[n]]
-        n = parent[n]
-    return n
-
-
-@njit(cache=True)
 def connect(table: Array, block_ijk: Array, code: Array, component: Array, cells: Array, label: Array) -> Int:
     """Number the connected components of the voxels `cells` (n,), block by block; returns how many there are.
 
@@ -156,19 +154,14 @@ def connect(table: Array, block_ijk: Array, code: Array, component: Array, cells
             _blocks_around(table, block_ijk, slot, around)
             at = slot
         for step in range(14, 27):  # half of the neighbours: links are symmetric
-            i = (local >> 6) + step // 9 - 1
-            j = (local >> 3 & 7) + step // 3 % 3 - 1
-            k = (local & 7) + step % 3 - 1
-            other = around[((i >> 3) + 1) * 9 + ((j >> 3) + 1) * 3 + (k >> 3) + 1]
+            other, there = _beside(around, local, step)
             if other < 0:
                 continue
-            there = (i & 7) << 6 | (j & 7) << 3 | (k & 7)
             if component[other, there] < 0 and linked(code[slot, local], code[other, there], step % 3 - 1):
-                a, b = _root(parent, n), _root(parent, -np.int64(component[other, there]) - 1)
-                parent[max(a, b)] = min(a, b)
+                join(parent, n, -np.int64(component[other, there]) - 1)
     found: Int = np.int64(0)
     for n in range(len(cells)):
-        root = _root(parent, n)
+        root = root_of(parent, n)
         if root == n:
             label[n] = found
             found += 1

@@ -8,6 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mapping.kernels.forest import join, root_of
+
 Array = NDArray[Any]
 
 
@@ -157,21 +159,11 @@ def largest_cluster(points: Array, weights: Array, cell: float) -> Array:
             d = np.searchsorted(cells, other)
             if d == len(cells) or cells[d] != other:
                 continue
-            a, b = c, d
-            while parent[a] != a:
-                parent[a] = parent[parent[a]]
-                a = parent[a]
-            while parent[b] != b:
-                parent[b] = parent[parent[b]]
-                b = parent[b]
-            parent[max(a, b)] = min(a, b)
+            join(parent, c, d)
     mass = np.zeros(len(cells))
     root = np.empty(n, dtype=np.int64)
     for p in range(n):
-        a = at[p]
-        while parent[a] != a:
-            a = parent[a]
-        root[p] = a
-        mass[a] += weights[p]
+        root[p] = root_of(parent, at[p])
+        mass[root[p]] += weights[p]
     heaviest: Array = root == mass.argmax()
     return heaviest

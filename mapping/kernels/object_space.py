@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mapping.kernels.forest import join, root_of
 from mapping.kernels.hashing import BLOCK_LIMIT, home, pack
 
 Array: TypeAlias = NDArray[Any]
@@ -157,23 +158,6 @@ def bin_pixels(
 
 
 @njit(cache=True)
-def _root(parent: Array, n: Int) -> Int:
-    while parent[n] != n:
-        parent[n] = parent[parent[n]]
-        n = parent[n]
-    return n
-
-
-@njit(cache=True)
-def _join(parent: Array, a: Int, b: Int) -> None:
-    a, b = _root(parent, a), _root(parent, b)
-    if a < b:
-        parent[b] = a
-    else:
-        parent[a] = b
-
-
-@njit(cache=True)
 def mark_flat(on: Array, inside: Array, most: Int, row_at: Array, flat: Array) -> None:
     """Which voxels (K,) bool hold pixels of a plane in the rim of the mask and no others, in place; at first all True.
 
@@ -208,11 +192,11 @@ def join_voxels(keys: Array, flat: Array, parent: Array) -> None:
             m = finger
             while m < count and keys[m] <= lowest + 2:
                 if flat[m] == flat[n]:
-                    _join(parent, n, m)
+                    join(parent, n, m)
                 m += 1
     for n in range(count - 1):
         if keys[n + 1] == keys[n] + 1 and flat[n] == flat[n + 1]:
-            _join(parent, n, n + 1)
+            join(parent, n, n + 1)
 
 
 @njit(cache=True)
@@ -244,14 +228,14 @@ def join_pixels(depth: Array, row_at: Array, flat: Array, step: Float, noise: Ar
                     and parent[row] != parent[other]
                     and abs(depth[a, b] - z) <= _step_at(z, step, noise)
                 ):
-                    _join(parent, row, other)
+                    join(parent, row, other)
 
 
 @njit(cache=True)
 def find_roots(parent: Array) -> None:
     """Name the root of each row of a forest (K,) int32, in place."""
     for row in range(len(parent)):
-        parent[row] = _root(parent, row)
+        parent[row] = root_of(parent, row)
 
 
 @njit(cache=True)

@@ -8,6 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mapping.kernels.forest import root_of
+
 Array = NDArray[Any]
 
 
@@ -48,14 +50,6 @@ def grow(reach: Array, barrier: Array, steps: int) -> None:
 
 
 @njit(cache=True)
-def _root(parent: Array, i: int) -> int:
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-@njit(cache=True)
 def basins(clearance: Array, neck_share: float) -> Array:
     """Label (W, H) int32 the basins of `clearance` (W, H) > 0; 0 elsewhere.
 
@@ -83,7 +77,7 @@ def basins(clearance: Array, neck_share: float) -> Array:
             near = labels[a * height + b]
             if near == 0:
                 continue
-            near = _root(parent, near)
+            near = root_of(parent, near)
             if best == 0:
                 best = near
             elif near != best:
@@ -101,7 +95,7 @@ def basins(clearance: Array, neck_share: float) -> Array:
         labels[cell] = best
     for cell in range(width * height):
         if labels[cell]:
-            labels[cell] = _root(parent, labels[cell])
+            labels[cell] = root_of(parent, labels[cell])
     return labels.reshape(width, height)
 
 

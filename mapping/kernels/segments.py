@@ -15,6 +15,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mapping.kernels.forest import root_of
+
 Array = NDArray[Any]
 
 CORE_PX = 16  # distances to the mask's boundary are counted up to here
@@ -157,14 +159,6 @@ def find_cores(mask: Array, distance: Array, least: Array, core: Array) -> None:
 
 
 @njit(cache=True)
-def _root(parent: Array, i: int) -> int:
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-@njit(cache=True)
 def connect(core: Array, depth: Array, step_m: float, step_share: float, pieces: Array) -> int:
     """Number the connected pieces of all cores, in place; returns how many there are.
 
@@ -186,9 +180,9 @@ def connect(core: Array, depth: Array, step_m: float, step_share: float, pieces:
             limit = step_m + step_share * z
             left = up = 0
             if u > 0 and pieces[v, u - 1] and core[v, u - 1] == m and abs(depth[v, u - 1] - z) < limit:
-                left = _root(parent, pieces[v, u - 1])
+                left = root_of(parent, pieces[v, u - 1])
             if v > 0 and pieces[v - 1, u] and core[v - 1, u] == m and abs(depth[v - 1, u] - z) < limit:
-                up = _root(parent, pieces[v - 1, u])
+                up = root_of(parent, pieces[v - 1, u])
             if left and up:
                 low, high = min(left, up), max(left, up)
                 parent[high] = low
@@ -202,7 +196,7 @@ def connect(core: Array, depth: Array, step_m: float, step_share: float, pieces:
     number = np.zeros(n + 1, dtype=np.int32)
     found = 0
     for i in range(1, n + 1):
-        root = _root(parent, i)  # the lowest of its piece, and so numbered before
+        root = root_of(parent, i)  # the lowest of its piece, and so numbered before
         if root == i:
             found += 1
             number[i] = found
