@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar, overload
@@ -33,9 +34,9 @@ _NO_ROTATION = (1.0, 0.0, 0.0, 0.0)
 class _Table(Sequence[V]):
     """Rows that are made when asked for."""
 
+    @abstractmethod
     def rows(self, rows: NDArray[np.integer[Any]]) -> list[V]:
         """The values of these rows, in order."""
-        raise NotImplementedError
 
     @overload
     def __getitem__(self, at: int) -> V: ...

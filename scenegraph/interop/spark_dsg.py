@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from scenegraph.graph import Edge, Node, SceneGraph
-from scenegraph.interop.spark_dsg_values import LAYERS, PROMOTED, DsgLayer, bounding_box, box_of, rotation
+from scenegraph.interop.spark_dsg_values import LAYERS, PLACE_FIELDS, PROMOTED, DsgLayer, bounding_box, box_of, rotation
 
 __all__ = ["spark_dsg_document"]
 
@@ -219,13 +219,7 @@ def _place_fields(own: dict[str, Any]) -> dict[str, Any]:
         "pcl_mesh_connections": [],
         "mesh_vertex_labels": [],
         "deformation_connections": [],
-        "real_place": True,
-        "active_frontier": False,
-        "anti_frontier": False,
-        "need_cleanup": False,
-        "num_frontier_voxels": 0,
-        "frontier_scale": [0.0, 0.0, 0.0],
-        "orientation": rotation(None),
+        **PLACE_FIELDS,
     }
 
 

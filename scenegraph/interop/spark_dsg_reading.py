@@ -21,7 +21,7 @@ from typing import Any
 
 from scenegraph.errors import GraphUnreadable, InvalidGraphValue, InvariantViolated
 from scenegraph.graph import Box, Edge, Layer, Node, SceneGraph, Snapshot, Tombstone, valid_identifier
-from scenegraph.interop.spark_dsg_values import LAYERS, NO_LABEL, PROMOTED, box_of
+from scenegraph.interop.spark_dsg_values import LAYERS, NO_LABEL, PLACE_FIELDS, PROMOTED, box_of
 
 __all__ = ["is_spark_dsg", "read_spark_dsg"]
 
@@ -242,23 +242,12 @@ def _modern(record: dict[str, Any]) -> dict[str, Any]:
     fields.setdefault("is_predicted", False)
     match fields["type"]:
         case "PlaceNodeAttributes":
-            fields = {**_PLACE, **fields}
+            fields = {**PLACE_FIELDS, **fields}
         case "RoomNodeAttributes":
             fields.setdefault("semantic_class_probabilities", {})
     if "bounding_box" in fields:
         fields.setdefault("semantic_feature", {"cols": 0, "data": None, "rows": 0})
     return fields
-
-
-_PLACE: dict[str, Any] = {
-    "real_place": True,
-    "active_frontier": False,
-    "anti_frontier": False,
-    "need_cleanup": False,
-    "num_frontier_voxels": 0,
-    "frontier_scale": [0.0, 0.0, 0.0],
-    "orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
-}
 
 
 def _kept(symbol: int, number: int, partition: int, name: str, label: str, fields: dict[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from scenegraph.graph import Box, Layer
 
-__all__ = ["LAYERS", "NO_LABEL", "PROMOTED", "DsgLayer", "bounding_box", "box_of", "rotation"]
+__all__ = ["LAYERS", "NO_LABEL", "PLACE_FIELDS", "PROMOTED", "DsgLayer", "bounding_box", "box_of", "rotation"]
 
 NO_LABEL = 2**32 - 1
 """What `semantic_label` is where there is none."""
@@ -43,6 +43,18 @@ LAYERS: dict[Layer, DsgLayer] = {
     "building": DsgLayer(5, 0, "BUILDINGS", "B"),
     "storey": DsgLayer(5, ord("t"), "STOREYS", "t"),
 }
+
+
+PLACE_FIELDS: dict[str, Any] = {
+    "real_place": True,
+    "active_frontier": False,
+    "anti_frontier": False,
+    "need_cleanup": False,
+    "num_frontier_voxels": 0,
+    "frontier_scale": [0.0, 0.0, 0.0],
+    "orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
+}
+"""What their places say of frontiers where nothing is known of any."""
 
 
 def rotation(box: Box | None) -> dict[str, float]:
