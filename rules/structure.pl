@@ -436,6 +436,41 @@ exempt(above, A, wall, _, floor) :-
 exempt(above, _, ceiling, B, wall) :-
     evident_label(B, wall).
 
+% -- what a leaf stands on -----------------------------------------------
+
+%   OnFloor: the ids of the planes that stand on something that may be a
+%   floor, as an assoc.
+
+on_floor(Planes, Relations, OnFloor) :-
+    findall(Id-Plane, ( member(Plane, Planes), arg(1, Plane, Id) ), Pairs),
+    list_to_assoc(Pairs, PlaneOf),
+    findall(Upper,
+            ( member(Relation, Relations),
+              over(Relation, Upper, Lower),
+              get_assoc(Upper, PlaneOf, Leaf),
+              get_assoc(Lower, PlaneOf, Floor),
+              once(label_cost(Floor, floor, _)),
+              measures(above, door, Leaf, floor, Floor)
+            ),
+            Standing),
+    sort(Standing, Ids),
+    findall(Id-true, member(Id, Ids), Marked),
+    list_to_assoc(Marked, OnFloor).
+
+over(relation(above, Upper, Lower), Upper, Lower).
+over(relation(under, Lower, Upper), Upper, Lower).
+
+%   A leaf needs a floor to stand on, unless it was seen to be one.
+
+grounded(door, Plane, OnFloor) :-
+    !,
+    (   evident_label(Plane, door)
+    ->  true
+    ;   arg(1, Plane, Id),
+        get_assoc(Id, OnFloor, true)
+    ).
+grounded(_, _, _).
+
 % -- the cheapest consistent labelling -----------------------------------
 
 %!  labelling_cost(+Planes, +Relations, +Labels, -Cost) is semidet.
@@ -445,6 +480,9 @@ exempt(above, _, ceiling, B, wall) :-
 
 labelling_cost(Planes, Relations, Labels, Cost) :-
     costs(Planes, Labels, 0.0, Cost),
+    on_floor(Planes, Relations, OnFloor),
+    forall(( member(Plane, Planes), arg(1, Plane, Id), memberchk(Id-Label, Labels) ),
+           grounded(Label, Plane, OnFloor)),
     forall(member(relation(Relation, A, B), Relations),
            ( memberchk(A-LabelA, Labels),
              memberchk(B-LabelB, Labels),
@@ -481,7 +519,8 @@ label_planes(Planes, Relations, Labels) :-
     compound_name_arguments(Vector, planes, Planes),
     compound_name_arity(Options, options, N),
     compound_name_arity(Domains, domains, N),
-    start_domains(N, Vector, Options, Domains),
+    on_floor(Planes, Relations, OnFloor),
+    start_domains(N, Vector, OnFloor, Options, Domains),
     arcs(Relations, Vector, Domains, Arcs),
     spread_settled(N, Arcs, Domains),
     search_bound(Bound),
@@ -517,17 +556,19 @@ bit(no_feature, 16).
 %   Options: for each plane its Cost-Bit, cheapest first. Domains: which
 %   bits are still possible.
 
-start_domains(0, _, _, _) :-
+start_domains(0, _, _, _, _) :-
     !.
-start_domains(I, Vector, Options, Domains) :-
+start_domains(I, Vector, OnFloor, Options, Domains) :-
     arg(I, Vector, Plane),
-    findall(Cost-Bit, ( label_cost(Plane, Label, Cost), bit(Label, Bit) ), Pairs),
+    findall(Cost-Bit,
+            ( label_cost(Plane, Label, Cost), grounded(Label, Plane, OnFloor), bit(Label, Bit) ),
+            Pairs),
     keysort(Pairs, Sorted),
     arg(I, Options, Sorted),
     union_of_bits(Sorted, 0, Mask),
     arg(I, Domains, Mask),
     I1 is I-1,
-    start_domains(I1, Vector, Options, Domains).
+    start_domains(I1, Vector, OnFloor, Options, Domains).
 
 union_of_bits([], Mask, Mask).
 union_of_bits([_-Bit|Pairs], Mask0, Mask) :-

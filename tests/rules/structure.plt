@@ -103,6 +103,18 @@ test(a_leaf_is_as_wide_as_a_person_needs, all(Width-Label == [0.3-no_feature, 0.
     furnished([plane(leaf, side, 0.0, 2.0, Width, 1.8, [])], [], Labels),
     memberchk(leaf-Label, Labels).
 
+test(a_leaf_stands_on_a_floor_unless_it_was_seen_to_be_one,
+     all(ZMin-Evidence-Label == [0.0-[]-door, 7.0-[]-no_feature, 7.0-[door-0.8]-door])) :-
+    member(ZMin-Evidence, [0.0-[], 7.0-[], 7.0-[door-0.8]]),
+    ZMax is ZMin+2.0,
+    label_planes([ plane(floor, up, 0.0, 0.0, 4.0, 12.0, [floor-0.9]),
+                   plane(leaf, side, ZMin, ZMax, 0.9, 0.9, Evidence) ],
+                 [relation(orthogonal, floor, leaf), relation(above, leaf, floor)], Labels),
+    memberchk(leaf-Label, Labels).
+
+test(where_no_floor_was_seen_what_is_as_large_as_a_leaf_is_no_door, Label == wall) :-
+    label_planes([plane(leaf, side, 0.0, 2.0, 0.9, 1.8, [])], [], [leaf-Label]).
+
 test(a_leaf_at_right_angles_needs_to_be_seen_as_one, Plain-Seen == no_feature-door) :-
     furnished([plane(leaf, side, 0.0, 2.0, 0.9, 1.8, [])], [relation(orthogonal, leaf, north)], Labels),
     memberchk(leaf-Plain, Labels),
