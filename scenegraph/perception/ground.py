@@ -79,14 +79,17 @@ class GroundGrid(Grid):
     """The ground of the rooms of a storey.
 
     free : bool, room : int32 (0 = none), drawn : bool (an operator gave it to the room), sky : bool (free above every
-    ceiling)
+    ceiling), tall : bool (something is as high as that)
     """
 
-    channels: ClassVar[Mapping[str, type]] = {"free": np.bool_, "room": np.int32, "drawn": np.bool_, "sky": np.bool_}
+    channels: ClassVar[Mapping[str, type]] = {
+        "free": np.bool_, "room": np.int32, "drawn": np.bool_, "sky": np.bool_, "tall": np.bool_,
+    }  # fmt: skip
     free: NDArray[np.bool_]
     room: NDArray[np.int32]
     drawn: NDArray[np.bool_]
     sky: NDArray[np.bool_]
+    tall: NDArray[np.bool_]
 
     def at(self, xy: Array) -> Array:
         """The room number (N,) at points (N, 2) [m]; 0 where there is none."""

@@ -39,7 +39,10 @@ UNNOTICED_CELLS = 10
 SAME_SHARE = 0.3
 """A region is a known room when they share this much of the larger one's ground."""
 OUTDOORS_SHARE = 0.5
-"""A room is outdoors when the sky was seen over this share of it, and no ceiling."""
+"""A room is outdoors when the sky was seen over this share of it, no ceiling, and …"""
+TALL_BESIDE_M = 0.3
+LEAST_TALL_M = 1.0
+"""… no wall as high as that beside it for so long: a hall has such walls, and its ceiling may be out of sight."""
 
 
 class Rooms:
@@ -292,8 +295,7 @@ class Rooms:
         ceiling = storey.ceiling_over(footprint)
         height = DEFAULT_HEIGHT_M if ceiling is None else ceiling - storey.floor_z
         measures = {} if ceiling is None else {"ceiling_z": round(ceiling, 3), "height_m": round(height, 3)}
-        i, j = (cells - storey.ground.low).T
-        outdoors = ceiling is None and float(storey.ground.sky[i, j].mean()) >= OUTDOORS_SHARE
+        outdoors = ceiling is None and _under_the_sky(cells, storey)
         told_before = known is not None and "outdoors" in known.attributes
         named = {} if name is None else {"name": name}
         kept = (
@@ -325,6 +327,20 @@ class Rooms:
                 },
             )
         )
+
+
+def _under_the_sky(cells: Array, storey: Storey) -> bool:
+    """Whether ground, cells (N, 2), lies free under the sky, with no wall beside it that is as high as a hall's."""
+    i, j = (cells - storey.ground.low).T
+    if float(storey.ground.sky[i, j].mean()) < OUTDOORS_SHARE:
+        return False
+    reach = round(TALL_BESIDE_M / CELL_M)
+    low, high = cells.min(axis=0) - reach, cells.max(axis=0) + reach
+    tall = storey.ground.tall[storey.ground.cover(low, high)]
+    mine = np.zeros(tall.shape, np.bool_)
+    mine[tuple((cells - low).T)] = True
+    beside = ndimage.binary_dilation(mine, np.ones((3, 3)), iterations=reach)
+    return bool(np.count_nonzero(tall & beside) * CELL_M < LEAST_TALL_M)
 
 
 def _into_walls(rooms: Array, barrier: Array) -> Array:

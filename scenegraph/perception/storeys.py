@@ -23,7 +23,7 @@ CELL_M = 0.1
 BAND_M = (1.0, 1.9)
 """Heights over the floor at which space counts: above tables and counters, below the lintels of doors."""
 OPEN_SKY_M = (2.0, 2.5)
-"""Space that is free so far above the ceilings of a storey is under the sky: halls are no higher."""
+"""Space that is free so far above the ceilings of a storey may be under the sky."""
 DEFAULT_HEIGHT_M = 2.4
 """Of rooms whose ceiling was not seen."""
 TALLEST_STOREY_M = 3.2
@@ -100,14 +100,16 @@ class Storey:
 
     # -- what is seen -------------------------------------------------------------------------------------
     def open_ground(self, occupancy: OccupancyMap, blocks: Array) -> list[Array]:
-        """Note the cells that are free at standing height, and those that are free above every ceiling; returns the
+        """Note the cells that are free at standing height, and what is above every ceiling, free or tall; returns the
         bounds of the former, corners (2, 2) in cells, where new."""
         height = TALLEST_STOREY_M if self.ceiling_z is None else self.ceiling_z - self.floor_z
-        sky = self._free_cells(occupancy, blocks, height + OPEN_SKY_M[0], height + OPEN_SKY_M[1], whole=True)
+        sky, tall, _ = self._cells(occupancy, blocks, height + OPEN_SKY_M[0], height + OPEN_SKY_M[1])
         if len(sky):
             above = self._at(sky)
-            self.ground.sky[above] = True
-        cells = self._free_cells(occupancy, blocks, *BAND_M)
+            self.ground.sky[above], self.ground.tall[above] = True, False
+        if len(tall):
+            self.ground.tall[self._at(tall)] = True
+        _, _, cells = self._cells(occupancy, blocks, *BAND_M)
         if not len(cells):
             return []
         at = self._at(cells)
@@ -115,23 +117,33 @@ class Storey:
         self.ground.free[at] = True
         return [np.stack([new.min(axis=0), new.max(axis=0)])] if len(new) >= LEAST_NEW_CELLS else []
 
-    def _free_cells(
-        self, occupancy: OccupancyMap, blocks: Array, low_m: float, high_m: float, *, whole: bool = False
-    ) -> Array:
-        """Cells (N, 2) with free space between two heights over the floor; with `whole`, throughout what of the blocks
-        lies between."""
+    def _cells(self, occupancy: OccupancyMap, blocks: Array, low_m: float, high_m: float) -> tuple[Array, Array, Array]:
+        """Cells (N, 2) of which the blocks show, between two heights over the floor, free space throughout; something
+        occupied; some free space."""
         edge = occupancy.block_size_m
         low, high = self.floor_z + low_m, self.floor_z + high_m
         blocks = blocks[(blocks[:, 2] * edge < high) & ((blocks[:, 2] + 1) * edge > low)]
         if not len(blocks):
-            return np.empty((0, 2), np.int64)
+            none = np.empty((0, 2), np.int64)
+            return none, none, none
         evidence = occupancy.evidence_of(blocks).reshape(-1, 8, 8, 8)
         heights = (blocks[:, 2, None] * 8 + np.arange(8) + 0.5) * occupancy.voxel_size_m
         in_band = ((heights > low) & (heights < high))[:, None, None, :]
         free = (evidence < 0) & (evidence > -128)
-        columns = (free | ~in_band).all(axis=3) & in_band.any(axis=3) if whole else (free & in_band).any(axis=3)
+        throughout = np.all(free | ~in_band, axis=3) & np.any(in_band, axis=3)
+        occupied = np.any((evidence >= 0) & in_band, axis=3)
+        open_somewhere = np.any(free & in_band, axis=3)
+
+        def cells(columns: Array) -> Array:
+            return self._ground_cells(blocks, columns, occupancy.voxel_size_m)
+
+        return cells(throughout), cells(occupied), cells(open_somewhere)
+
+    @staticmethod
+    def _ground_cells(blocks: Array, columns: Array, voxel_size_m: float) -> Array:
+        """The cells (N, 2) below columns (K, 8, 8) bool of blocks (K, 3)."""
         which, u, v = np.nonzero(columns)
-        xy = (blocks[which, :2] * 8 + np.stack([u, v], axis=1) + 0.5) * occupancy.voxel_size_m
+        xy = (blocks[which, :2] * 8 + np.stack([u, v], axis=1) + 0.5) * voxel_size_m
         return np.floor(xy / CELL_M).astype(np.int64)
 
     def _at(self, cells: Array) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from scenegraph.perception.rooms import Rooms
 
 Rectangle = tuple[float, float, float, float]
 """x0, y0, x1, y1 [m]."""
-FREE_EVIDENCE = -20
+FREE_EVIDENCE, OCCUPIED_EVIDENCE = -20, 20
 BUILDING = "building_1"
 
 
@@ -79,9 +79,13 @@ class Home:
         self.now = 0
 
     def see(
-        self, *free: Rectangle, structure: Sequence[tuple[str, Plane]] = (), z: tuple[float, float] = (0.9, 2.1)
+        self,
+        *free: Rectangle,
+        structure: Sequence[tuple[str, Plane]] = (),
+        z: tuple[float, float] = (0.9, 2.1),
+        evidence: int = FREE_EVIDENCE,
     ) -> set[str]:
-        """Free space at standing height over rectangles of ground, and planes. Returns the rooms that changed."""
+        """Space over rectangles of ground, free at standing height, and planes. Returns the rooms that changed."""
         self.now += 1
         seen = [np.empty((0, 3), np.int32)]
         for x0, y0, x1, y1 in free:
@@ -90,7 +94,7 @@ class Home:
                 np.meshgrid(*(np.arange(a + 0.025, b, 0.05) for a, b in zip(low, high, strict=True)), indexing="ij"),
                 axis=-1,
             ).reshape(-1, 3)
-            self.occupancy.assign(centres, FREE_EVIDENCE)
+            self.occupancy.assign(centres, evidence)
             seen.append(np.unique(np.floor(centres / 0.4).astype(np.int32), axis=0))
         changed_blocks = Changed(np.unique(np.concatenate(seen), axis=0), self.occupancy.block_size_m)
         changes, changed = self.rooms.update(self.occupancy, changed_blocks, structure, self.graph, self.now)
@@ -316,6 +320,19 @@ def test_ground_under_the_open_sky_is_a_room_outdoors_in_no_storey() -> None:
     assert home.graph.edge("in", inside, "storey_1") is not None  # type: ignore[arg-type]
 
 
+def test_a_hall_whose_ceiling_was_not_seen_is_not_outdoors() -> None:
+    home = Home()
+    hall = (4.1, 0.1, 9.9, 3.9)
+    home.see(LEFT, hall, DOORWAY, structure=TWO_WALLS[:4] + TWO_WALLS[5:])
+    home.see(hall, z=(5.0, 6.0))
+    home.see((9.9, 0.1, 10.0, 3.9), z=(0.0, 7.0), evidence=OCCUPIED_EVIDENCE)
+    home.see((4.1, 0.1, 9.9, 4.9))
+    inside = home.at(7.0, 2.0)
+    assert inside is not None
+    assert "outdoors" not in home.nodes[inside].attributes, "its wall is as high as the sky was seen"
+    assert home.graph.edge("in", inside, "storey_1") is not None
+
+
 def test_without_a_floor_there_is_no_room() -> None:
     home = Home()
     home.see(LEFT, structure=TWO_WALLS[1:])
@@ -420,7 +437,7 @@ def test_rooms_come_back_from_their_state() -> None:
 def test_rooms_come_back_from_a_state_that_knows_less() -> None:
     home = Home()
     home.see(LEFT, structure=TWO_WALLS)
-    new = ("sky", "ceilings", "ceiling_sizes", "ceiling_corners", "outlined")
+    new = ("sky", "tall", "ceilings", "ceiling_sizes", "ceiling_corners", "outlined")
     old = {name: array for name, array in home.rooms.state().items() if not name.endswith(new)}
     home.rooms = Rooms()
     home.rooms.restore(old, home.graph)
