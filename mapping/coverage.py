@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -78,6 +78,7 @@ class Coverage:
         self.frame = frame
         self.cell_size_m = cell_size_m
         self.n_covered = 0
+        self._per_metre = 1.0 / cell_size_m
         self._low = np.zeros(2, np.int64)
         self._counts = np.zeros((0, 0), np.uint16)
         self._rows = np.zeros(0, np.int32)
@@ -85,41 +86,38 @@ class Coverage:
 
     # -- change -------------------------------------------------------------------------------------------
     def add(self, points: Array) -> None:
-        """Cover the cells of samples (N, 3) [m]."""
-        cell = self._cells(points)
-        low, high = np.empty((2, 2), np.int64)
-        kernels.bounds(cell, low, high)
-        self._reserve(low, high)
-        self.n_covered += kernels.cover(self._counts, self._rows, self._columns, cell, self._low, 1)
+        """Cover the cells of samples (N ≥ 1, 3) [m]."""
+        self._reserve(*kernels.bounds(points, self.frame.rows, self._per_metre))
+        self._cover(points, 1)
 
     def remove(self, points: Array) -> None:
         """Take away samples (N, 3) [m] that were added before."""
-        cell = self._cells(points)
-        self.n_covered += kernels.cover(self._counts, self._rows, self._columns, cell, self._low, -1)
+        self._cover(points, -1)
+
+    def _cover(self, points: Array, sign: int) -> None:
+        self.n_covered += kernels.cover(
+            self._counts, self._rows, self._columns, self._low, points, self.frame.rows, self._per_metre, sign
+        )
 
     def _cells(self, points: Array) -> NDArray[np.int64]:
         cell = np.empty((len(points), 2), np.int64)
-        frame = self.frame
-        kernels.find_cells(cell, points, frame.origin, frame.u, frame.v, 1.0 / self.cell_size_m)
+        kernels.find_cells(cell, points, self.frame.rows, self._per_metre)
         return cell
 
-    def _reserve(self, low: Array, high: Array) -> None:
-        size = np.array(self._counts.shape)
-        if (low >= self._low).all() and (high < self._low + size).all() and size.all():
+    def _reserve(self, u0: int, u1: int, v0: int, v1: int) -> None:
+        """Make the raster hold the cells from (u0, v0) to (u1, v1)."""
+        (nu, nv), (low_u, low_v) = self._counts.shape, self._low.tolist()
+        if low_u <= u0 and u1 < low_u + nu and low_v <= v0 and v1 < low_v + nv:
             return
-        if not size.all():
-            self._low = low.copy()
-        spare = np.maximum(8, size // 2)
-        new_low = np.where(low < self._low, low - spare, self._low)
-        new_high = np.where(high >= self._low + size, high + 1 + spare, self._low + size)
-        grown = np.zeros(new_high - new_low, np.uint16)
-        u, v = self._low - new_low
-        grown[u : u + size[0], v : v + size[1]] = self._counts
-        self._rows, self._columns = (
-            np.pad(old, (start, total - start - len(old)))
-            for old, start, total in ((self._rows, u, len(grown)), (self._columns, v, grown.shape[1]))
-        )
-        self._counts, self._low = grown, new_low
+        first_u, new_u = _grown(low_u, nu, u0, u1)
+        first_v, new_v = _grown(low_v, nv, v0, v1)
+        counts, at_u, at_v = np.zeros((new_u, new_v), np.uint16), low_u - first_u, low_v - first_v
+        rows, columns = np.zeros(new_u, np.int32), np.zeros(new_v, np.int32)
+        if nu:
+            counts[at_u : at_u + nu, at_v : at_v + nv] = self._counts
+            rows[at_u : at_u + nu], columns[at_v : at_v + nv] = self._rows, self._columns
+        self._counts, self._rows, self._columns = counts, rows, columns
+        self._low = np.array([first_u, first_v])
 
     # -- what is covered ----------------------------------------------------------------------------------
     def area_m2(self, normal: Array) -> float:
@@ -129,11 +127,14 @@ class Coverage:
     def extent(self) -> NDArray[np.float64]:
         """[[u low, u high], [v low, v high]] [m] of what is covered, without stray rows and columns."""
         ends = np.empty((2, 2))
-        for axis, line in enumerate((self._rows, self._columns)):
-            full = np.flatnonzero(line > _TRIM * line.max(initial=0))
-            ends[axis] = (full[0], full[-1] + 1) if len(full) else (0, 0)
-            ends[axis] += self._low[axis]
+        kernels.extent(ends[0], self._rows, self._low[0], _TRIM)
+        kernels.extent(ends[1], self._columns, self._low[1], _TRIM)
         return ends * self.cell_size_m
+
+    def bound(self, low: Array, high: Array, extent: Array, normal: Array, offset: float) -> None:
+        """Write the axis-aligned box low, high (3,) [m] of the rectangle `extent` (2, 2) [m] on the plane normal·p =
+        offset."""
+        kernels.bound_rectangle(low, high, extent, self.frame.rows, self.frame.normal, normal, offset)
 
     def near(self, uv: Array, reach_m: float) -> NDArray[np.bool_]:
         """(N,) whether a covered cell lies within `reach_m` (along u and v, a cell at least) of places (N, 2) [m]."""
@@ -149,7 +150,7 @@ class Coverage:
         `reach_m` of a covered cell."""
         hit = np.empty(len(points), dtype=np.bool_)
         kernels.near_plane(
-            hit, points, self._counts, self._low, self.frame.rows, normal, offset, 1.0 / self.cell_size_m,
+            hit, points, self._counts, self._low, self.frame.rows, normal, offset, self._per_metre,
             self._cells_in(reach_m), height_m,
         )  # fmt: skip
         return hit
@@ -160,7 +161,7 @@ class Coverage:
         """Add one to `crossed` (N,), in place, for each segment from p to q (N, 3) [m] that passes through the plane
         normal·p = offset within `reach_m` of a covered cell."""
         kernels.count_crossings(
-            crossed, p, q, self._counts, self._low, self.frame.rows, normal, offset, 1.0 / self.cell_size_m,
+            crossed, p, q, self._counts, self._low, self.frame.rows, normal, offset, self._per_metre,
             self._cells_in(reach_m),
         )  # fmt: skip
 
@@ -173,7 +174,7 @@ class Coverage:
         seen = np.empty(n, dtype=np.bool_)
         kernels.seen_along(
             seen, begin, step, heights, half, self._counts, self._low, self.frame.rows, normal, offset,
-            1.0 / self.cell_size_m, self._cells_in(reach_m),
+            self._per_metre, self._cells_in(reach_m),
         )  # fmt: skip
         return seen
 
@@ -205,8 +206,8 @@ class Coverage:
         """What is covered as a shapely (multi)polygon in u, v [m]: gaps of one cell closed, borders simplified to
         `tolerance_m`, holes below `least_m2` filled, and parts below it left out, but for the largest part."""
         (u0, u1), (v0, v1) = (_ends(line > 0) for line in (self._rows, self._columns))
-        mask = np.pad(self._counts[u0:u1, v0:v1] > 0, 3)
-        mask = ndimage.binary_closing(mask, structure=np.ones((3, 3)))
+        mask = np.empty((u1 - u0 + 6, v1 - v0 + 6), np.bool_)
+        kernels.close_gaps(mask, self._counts[u0:u1, v0:v1])
         edges = sum(int(np.count_nonzero(mask[1:] != mask[:-1])) for mask in (mask, mask.T))
         corners = np.empty((edges, 2), np.int32)
         ends = np.empty(edges, np.int64)
@@ -217,22 +218,27 @@ class Coverage:
         large[area.argmax()] = True
         origin = self._low + np.array([u0 - 3, v0 - 3])
         rings = [(ring + origin) * self.cell_size_m for ring in np.split(corners, ends[:n])[:n]]
-        outer = [rings[k] for k in np.flatnonzero(large & (area > 0.0))]
-        holes = [rings[k] for k in np.flatnonzero(large & (area < 0.0))]
-        whole = shapely.Polygon(outer[0], holes) if len(outer) == 1 else None
-        if whole is None or not whole.is_valid:
-            # parts may lie in holes of others: what is inside an odd number of rings is covered
-            whole = reduce(shapely.symmetric_difference, map(_valid, (*outer, *holes)))
+        owner = np.empty(n, np.int64)
+        kernels.nest(owner, area, large, corners, ends)
+        outer = np.flatnonzero(large & (area > 0.0)).tolist()
+        parts = [shapely.Polygon(rings[k], [rings[h] for h in np.flatnonzero(owner == k)]) for k in outer]
+        whole = parts[0] if len(parts) == 1 else shapely.MultiPolygon(parts)
         return whole.simplify(tolerance_m)
+
+
+def _grown(first: int, n: int, low: int, high: int) -> tuple[int, int]:
+    """Where a line of `n` cells from `first` on begins and how long it is once it holds low … high, with room to spare
+    where it grew."""
+    spare = max(8, n // 2)
+    if n == 0:
+        first, end = low, high + 1 + spare
+    else:
+        end = first + n if high < first + n else high + 1 + spare
+    first = first if low >= first else low - spare
+    return first, end - first
 
 
 def _ends(covered: Array) -> tuple[int, int]:
     """The first covered row and one past the last; none are 0 and 0."""
     at = np.flatnonzero(covered)
     return (int(at[0]), int(at[-1]) + 1) if len(at) else (0, 0)
-
-
-def _valid(ring: Array) -> Any:
-    """A ring as a polygon; where it touches itself, as several."""
-    polygon = shapely.Polygon(ring)
-    return polygon if polygon.is_valid else shapely.make_valid(polygon, method="structure", keep_collapsed=False)

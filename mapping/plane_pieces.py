@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
-from typing import Any, TypeAlias
+from itertools import chain, pairwise
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +20,20 @@ _SPAN, _HALF = 1 << 20, 1 << 19  # places are numbered within ± 2¹⁹ along ea
 _BESIDE: NDArray[np.int64] = np.array(
     [(i * _SPAN + j) * _SPAN + k for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)], np.int64
 )
-_ITSELF = 13
 _TURNED = float(np.cos(np.deg2rad(10.0)))  # a raster turned further than this from where it belongs is made anew
 _NO_SLOTS: dict[int, int] = {}
 
 
 @dataclass(eq=False)
 class _Block:
+    """Samples (n, 3) float32 [m] and their normals, the slot (n,) of each or −1, and how many are of each slot."""
+
     points: Array
     normals: Array
     slot_of: NDArray[np.int32]
     counts: dict[int, int]
+
+    ARRAYS: ClassVar = ("points", "normals", "slot_of")
 
 
 class Pieces:
@@ -50,7 +53,7 @@ class Pieces:
         self.normal = np.zeros((0, 3))
         self.offset = np.zeros(0)
         self._coverage: list[Coverage | None] = []
-        self._blocks_of: list[dict[Key, int]] = []
+        self._blocks_of: list[dict[Key, None]] = []
         self._free: list[int] = []
         self._blocks: dict[Key, _Block] = {}
         self._places: dict[int, dict[int, int]] = {}
@@ -98,9 +101,7 @@ class Pieces:
         if not there:
             return *np.zeros((2, 0, 3), np.float32), np.zeros(0, np.int32), np.zeros(0, np.int64)
         sizes = [0 if block is None else len(block.points) for block in held]
-        points, normals, slots = (
-            np.concatenate([getattr(block, name) for block in there]) for name in ("points", "normals", "slot_of")
-        )
+        points, normals, slots = (np.concatenate([getattr(block, name) for block in there]) for name in _Block.ARRAYS)
         return points, normals, slots, np.repeat(np.arange(len(held)), sizes)
 
     # -- places -------------------------------------------------------------------------------------------
@@ -109,14 +110,18 @@ class Pieces:
         i, j, k = ((block_ijk >> self.place_shift).astype(np.int64) + _HALF).T
         return np.asarray((i * _SPAN + j) * _SPAN + k)
 
-    def nearby(self, codes: NDArray[np.int64]) -> tuple[Array, Array, list[Collection[int]]]:
-        """Slots of the pieces in or beside each place (Q,), as rows `first` and `candidates` (see `kernels.match`), and
-        of those in it."""
-        around = codes[:, None] + _BESIDE
-        known, row = np.unique(around, return_inverse=True)
-        row = row.reshape(around.shape)
+    def nearby(self, codes: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Slots of the pieces in or beside each place (Q,), as rows `first` and `candidates` (see `kernels.match`)."""
+        return self._held_in(codes[:, None] + _BESIDE)
+
+    def inside(self, codes: NDArray[np.int64]) -> tuple[Array, Array]:
+        """As `nearby`, but of the pieces in each place only."""
+        return self._held_in(codes[:, None])
+
+    def _held_in(self, codes: NDArray[np.int64]) -> tuple[Array, Array]:
+        known, row = np.unique(codes, return_inverse=True)
         slots = [self._places.get(code, _NO_SLOTS) for code in known.tolist()]
-        return *self._gathered(slots, row), [slots[r] for r in row[:, _ITSELF].tolist()]
+        return self._gathered(slots, row.reshape(codes.shape))
 
     def nearby_among(self, codes: NDArray[np.int64], slots: Sequence[Collection[int]]) -> tuple[Array, Array]:
         """As `nearby`, where only the places `codes` (Q,), ascending, hold anything: these slots."""
@@ -173,40 +178,41 @@ class Pieces:
                     turned.add(points)
                 self._coverage[slot] = turned
 
-    def take_away(self, keys: Iterable[Key]) -> dict[int, set[Key]]:
-        """Remove all that blocks held; returns for each slot the blocks that it was in."""
-        old = [(key, block) for key in keys if (block := self._blocks.pop(key, None)) is not None]
-        held: dict[int, set[Key]] = {}
-        if not old:
-            return held
-        points, normals, slot_of = (
-            np.concatenate([getattr(block, name) for _, block in old]) for name in ("points", "normals", "slot_of")
-        )
-        self._sum(slot_of, points, normals, -1)
-        for key, block in old:
-            self._count(key, block.counts, -1)
-            for slot in block.counts:
-                held.setdefault(slot, set()).add(key)
-        return held
+    def replace(
+        self, keys: Sequence[Key], owner: Array, slot_of: Array, points: Array, normals: Array
+    ) -> dict[int, set[Key]]:
+        """Set the samples of blocks; returns for each slot the blocks that held samples of it before.
 
-    def put(self, keys: Sequence[Key], owner: Array, slot_of: Array, points: Array, normals: Array) -> None:
-        """Store samples (N, 3): `owner` (N,), ascending, the row of `keys` of each, `slot_of` (N,) its piece or −1."""
-        self._sum(slot_of, points, normals, 1)
+        points, normals : (N, 3) float32 [m];  owner : (N,), ascending, the row of `keys` of each
+        slot_of         : (N,) the piece of each, or −1
+        """
+        before = [self._blocks.pop(key, None) for key in keys]
+        old = [block for block in before if block is not None]
+        if old:
+            gone, towards, slots = (np.concatenate([getattr(block, name) for block in old]) for name in _Block.ARRAYS)
+            self._sum(gone, towards, slots, -1)
+        self._sum(points, normals, slot_of, 1)
+
         row, slot, n = np.empty((3, len(points)), np.int64)
         entries = kernels.count_planes(owner, slot_of, row, slot, n)
         counts: list[dict[int, int]] = [{} for _ in keys]
         for r, s, m in zip(row[:entries].tolist(), slot[:entries].tolist(), n[:entries].tolist(), strict=True):
             counts[r][s] = m
         starts = np.searchsorted(owner, np.arange(len(keys) + 1)).tolist()
-        for key, held, low, high in zip(keys, counts, starts[:-1], starts[1:], strict=True):
+        held: dict[int, set[Key]] = {}
+        for key, block, now, low, high in zip(keys, before, counts, starts[:-1], starts[1:], strict=True):
             if low < high:
-                self._blocks[key] = _Block(points[low:high], normals[low:high], slot_of[low:high], held)
-                self._count(key, held, 1)
+                self._blocks[key] = _Block(points[low:high], normals[low:high], slot_of[low:high], now)
+            self._note(key, {} if block is None else block.counts, now)
+            for s in () if block is None else block.counts:
+                held.setdefault(s, set()).add(key)
+        return held
 
     def move(self, old: int, new: int, chosen: Array | None = None) -> None:
         """Give the samples of one slot, or those `chosen` (a mask in the order of `samples`), to another."""
-        keys, first = list(self._blocks_of[old]), np.cumsum([0, *self._blocks_of[old].values()])
+        keys = list(self._blocks_of[old])
         if chosen is not None:
+            first = np.cumsum([0, *(self._blocks[key].counts[old] for key in keys)])
             some = np.flatnonzero(chosen)
             in_block = np.searchsorted(first, some, side="right") - 1
             parts = {int(k): some[in_block == k] - first[k] for k in np.unique(in_block)}
@@ -216,40 +222,50 @@ class Pieces:
             rows = np.flatnonzero(block.slot_of == old)
             part = rows if chosen is None else rows[parts[k]]
             block.slot_of[part] = new
-            for slot, n in ((old, -len(part)), (new, len(part))):
-                self._count(keys[k], {slot: n}, 1)
-                _add(block.counts, slot, n)
+            before = block.counts
+            block.counts = {**before, old: before[old] - len(part), new: before.get(new, 0) + len(part)}
+            if block.counts[old] == 0:
+                del block.counts[old]
+            self._note(keys[k], before, block.counts)
             points.append(block.points[part])
             normals.append(block.normals[part])
         if points:
             moved, towards = np.concatenate(points), np.concatenate(normals)
-            self._sum(np.full(len(moved), old, np.int32), moved, towards, -1)
-            self._sum(np.full(len(moved), new, np.int32), moved, towards, 1)
+            self._sum(moved, towards, np.full(len(moved), old, np.int32), -1)
+            self._sum(moved, towards, np.full(len(moved), new, np.int32), 1)
 
-    def _count(self, key: Key, counts: Mapping[int, int], sign: int) -> None:
-        """Note that a block got (`sign` 1) or lost (−1) so many samples of each slot."""
-        if not counts:
+    def _note(self, key: Key, before: Collection[int], now: Collection[int]) -> None:
+        """Note of which slots a block held samples before, and of which it does now."""
+        lost, gained = [s for s in before if s not in now], [s for s in now if s not in before]
+        if not (lost or gained):
             return
         s = self.place_shift
         place = (((key[0] >> s) + _HALF) * _SPAN + (key[1] >> s) + _HALF) * _SPAN + (key[2] >> s) + _HALF
         here = self._places.setdefault(place, {})
-        for slot, n in counts.items():
-            _add(here, slot, sign * n)
-            _add(self._blocks_of[slot], key, sign * n)
+        for slot in gained:
+            here[slot] = here.get(slot, 0) + 1
+            self._blocks_of[slot][key] = None
+        for slot in lost:
+            del self._blocks_of[slot][key]
+            here[slot] -= 1
+            if not here[slot]:
+                del here[slot]
         if not here:
             del self._places[place]
 
-    def _sum(self, slot_of: Array, points: Array, normals: Array, sign: int) -> None:
+    def _sum(self, points: Array, normals: Array, slot_of: Array, sign: int) -> None:
         """Add samples to (or take them from) the moments and rasters of their pieces."""
         if not len(slot_of):
             return
         kernels.accumulate(self.moments, slot_of, points, normals, float(sign))
         order = np.argsort(slot_of, kind="stable")
-        slots, first = np.unique(slot_of[order], return_index=True)
-        for slot, rows in zip(slots.tolist(), np.split(order, first[1:]), strict=True):
+        slots, points = slot_of[order], points[order]
+        ends = [0, *(np.flatnonzero(slots[1:] != slots[:-1]) + 1).tolist(), len(slots)]
+        for low, high in pairwise(ends):
+            slot = int(slots[low])
             if slot >= 0:
                 coverage = self.coverage(slot)
-                (coverage.add if sign > 0 else coverage.remove)(points[rows])
+                (coverage.add if sign > 0 else coverage.remove)(points[low:high])
 
     # -- state --------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:
@@ -281,13 +297,4 @@ class Pieces:
         keys: list[Key] = [(i, j, k) for i, j, k in state["block_ijk"].tolist()]
         owner = np.repeat(np.arange(len(keys)), state["block_size"])
         slot_of = np.array(state["piece"], np.int32)
-        self.put(keys, owner, slot_of, np.array(state["points"]), np.array(state["normals"]))
-
-
-def _add(counts: dict[Any, int], key: Any, n: int) -> None:
-    """Add to a count, which is not kept when it is zero."""
-    total = counts.get(key, 0) + n
-    if total:
-        counts[key] = total
-    else:
-        counts.pop(key, None)
+        self.replace(keys, owner, slot_of, np.array(state["points"]), np.array(state["normals"]))

@@ -146,12 +146,12 @@ class PlaneMap:
         area, width = np.empty((2, len(slots)))
         for k, slot in enumerate(slots):
             coverage = self._pieces.coverage(slot)
-            (u0, u1), (v0, v1) = coverage.extent()
-            corners = coverage.frame.lift(np.array([[u0, v0], [u1, v0], [u1, v1], [u0, v1]]), normals[k], offsets[k])
-            low[k], high[k] = corners.min(axis=0), corners.max(axis=0)
+            extent = coverage.extent()
+            coverage.bound(low[k], high[k], extent, normals[k], offsets[k])
             area[k] = coverage.area_m2(normals[k])
             upright = abs(coverage.frame.normal[2]) < 0.5
-            width[k] = u1 - u0 if upright else max(u1 - u0, v1 - v0)
+            along_u, along_v = extent[:, 1] - extent[:, 0]
+            width[k] = along_u if upright else max(along_u, along_v)
         return PlaneSummary(chosen, normals, offsets, area, low, high, width)
 
     def samples(self, plane_id: int, at_most: int | None = None) -> Array:
@@ -180,7 +180,7 @@ class PlaneMap:
 
     def ids_near(self, block_ijk: Array) -> list[int]:
         """The planes, ascending, of which samples lie in or next to (0.2 to 0.45 m) one of the blocks (K, 3)."""
-        _, slots, _ = self._pieces.nearby(np.unique(self._pieces.place_codes(block_ijk)))
+        _, slots = self._pieces.nearby(np.unique(self._pieces.place_codes(block_ijk)))
         return sorted(self._id_of[slot] for slot in set(slots.tolist()) if slot in self._id_of)
 
     def spread(self, plane_id: int, at_most: int) -> Array:
@@ -265,12 +265,12 @@ class PlaneMap:
         place_of = place_of_block[owner]
         place_ijk = (block_ijk >> self._pieces.place_shift)[at]
 
-        near, candidates, _ = self._pieces.nearby(codes)
-        held = self._pieces.take_away(keys)
+        near, candidates = self._pieces.nearby(codes)
         slot_of = np.full(len(points), -1, np.int32)
         self._match(slot_of, points, normals, place_of, near, candidates)
-        touched = {*held, *self._seed(slot_of, points, normals, place_of, codes, place_ijk)}
-        self._pieces.put(keys, owner, slot_of, points, normals)
+        made = self._seed(slot_of, points, normals, place_of, codes, place_ijk)
+        held = self._pieces.replace(keys, owner, slot_of, points, normals)
+        touched = {*held, *made}
         touched.update(np.unique(slot_of[slot_of >= 0]).tolist())
         self._pieces.refit(touched)
         merged = self._merge(codes, touched)
@@ -325,18 +325,17 @@ class PlaneMap:
 
     def _merge(self, codes: NDArray[np.int64], touched: set[int]) -> dict[int, int]:
         """Join coplanar pieces that touch; returns id → id that it became part of."""
-        first, nearby, inside = self._pieces.nearby(codes)
-        starts, other = first.tolist(), nearby.tolist()
-        pairs = {
-            (min(a, b), max(a, b))
-            for here, low, high in zip(inside, starts[:-1], starts[1:], strict=True)
-            for a in here
-            for b in other[low:high]
-            if a != b
-        }
+        p = self._pieces
+        first_in, inside = p.inside(codes)
+        first_near, near = p.nearby(codes)
+        pairs = np.empty((int((np.diff(first_in) * np.diff(first_near)).sum()), 2), np.int64)
+        n = kernels.find_coplanar(
+            pairs, first_in, inside, first_near, near, p.moments, p.normal, p.offset,
+            self._merge_cosine, self.tolerance_m,
+        )  # fmt: skip
         became: dict[int, int] = {}
         merged: dict[int, int] = {}
-        for a, b in sorted(pairs):
+        for a, b in sorted(set(map(tuple, pairs[:n].tolist()))):
             while a in became:
                 a = became[a]
             while b in became:
@@ -364,11 +363,10 @@ class PlaneMap:
     def _join(self, large: int, small: int) -> bool:
         """Whether the small piece lies in the plane of the large one and touches it."""
         p = self._pieces
-        if (
-            p.count(small) < 3
-            or float(p.normal[large] @ p.normal[small]) < self._merge_cosine
-            or kernels.misfit(p.moments[small], p.normal[large], p.offset[large]) > self.tolerance_m
-        ):
+        if not kernels.lies_in(
+            p.moments[small], p.normal[small], p.normal[large], float(p.offset[large]), self._merge_cosine,
+            self.tolerance_m,
+        ):  # fmt: skip
             return False
         coverage = p.coverage(large)
         return bool(coverage.near(coverage.frame.project(self._spread(small, 400)), 1.5 * _REACH_M).any())
@@ -387,14 +385,16 @@ class PlaneMap:
                 continue
             part_of = coverage.part_of(self._pieces.samples(slot), labels, stride)
             sizes = np.bincount(part_of, minlength=n + 1)
+            parts = {slot}
             for part in np.argsort(-sizes, kind="stable")[1:]:
                 if part == 0 or sizes[part] == 0:
                     continue
                 new = self._pieces.new(coverage.frame.origin, self._pieces.normal[slot], self._pieces.offset[slot])
                 self._pieces.move(slot, new, part_of == part)
                 part_of = part_of[part_of != part]
-                touched.add(new)
-            self._pieces.refit(touched)
+                parts.add(new)
+            self._pieces.refit(parts)
+            touched |= parts
 
     def _publish(self, touched: set[int], merged: dict[int, int]) -> PlaneChange:
         """Give ids to what has become large enough, and say what changed."""

@@ -302,6 +302,47 @@ def misfit(moments: Array, normal: Array, offset: float) -> float:
 
 
 @njit(cache=True)
+def lies_in(small: Array, normal: Array, large: Array, offset: float, least_cosine: float, tolerance: float) -> bool:
+    """Whether the samples summed up in `small` (13,), of a piece with this `normal` (3,), lie in the plane (large,
+    offset)."""
+    cosine = normal[0] * large[0] + normal[1] * large[1] + normal[2] * large[2]
+    return bool(small[0] > 2.5 and cosine >= least_cosine and misfit(small, large, offset) <= tolerance)
+
+
+@njit(cache=True)
+def find_coplanar(
+    pairs: Array,
+    first_in: Array,
+    inside: Array,
+    first_near: Array,
+    near: Array,
+    moments: Array,
+    normal: Array,
+    offset: Array,
+    least_cosine: float,
+    tolerance: float,
+) -> int:
+    """Pairs (M, 2) int64 of pieces close to each other of which the smaller lies in the plane of the larger, in place,
+    the lower number first, some more than once; returns how many.
+
+    first_in, inside   : the pieces in place q are inside[first_in[q]:first_in[q + 1]]
+    first_near, near   : likewise those in it or beside it
+    moments            : (P, 13) float64;  normal : (P, 3) float64;  offset : (P,) float64 [m]
+    """
+    n = 0
+    for q in range(len(first_in) - 1):
+        for a in inside[first_in[q] : first_in[q + 1]]:
+            for b in near[first_near[q] : first_near[q + 1]]:
+                large, small = (a, b) if moments[a, 0] >= moments[b, 0] else (b, a)
+                if a != b and lies_in(
+                    moments[small], normal[small], normal[large], offset[large], least_cosine, tolerance
+                ):
+                    pairs[n, 0], pairs[n, 1] = min(a, b), max(a, b)
+                    n += 1
+    return n
+
+
+@njit(cache=True)
 def alignment(moments_a: Array, moments_b: Array) -> float:
     """Cosine of the angle between the mean sample normals of two sets."""
     dot = moments_a[10] * moments_b[10] + moments_a[11] * moments_b[11] + moments_a[12] * moments_b[12]

@@ -11,37 +11,88 @@ from numpy.typing import NDArray
 Array: TypeAlias = NDArray[Any]
 
 
+@njit(cache=True, inline="always")
+def cell_of(point: Array, frame: Array, per_metre: float) -> tuple[int, int]:
+    """The raster cell that a point (3,) [m] projects to; `frame` (3, 3) has the rows origin, u and v."""
+    x, y, z = point[0] - frame[0, 0], point[1] - frame[0, 1], point[2] - frame[0, 2]
+    u = (x * frame[1, 0] + y * frame[1, 1] + z * frame[1, 2]) * per_metre
+    v = (x * frame[2, 0] + y * frame[2, 1] + z * frame[2, 2]) * per_metre
+    return int(np.floor(u)), int(np.floor(v))
+
+
 @njit(cache=True)
-def find_cells(cell: Array, points: Array, origin: Array, u: Array, v: Array, per_metre: float) -> None:
-    """The raster cell (N, 2) int64 that each point (N, 3) [m] projects to, in place."""
+def find_cells(cell: Array, points: Array, frame: Array, per_metre: float) -> None:
+    """The raster cell (N, 2) int64 that each point (N, 3) [m] projects to, in place; see `cell_of`."""
     for i in range(len(points)):
-        x, y, z = points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2]
-        cell[i, 0] = np.int64(np.floor((x * u[0] + y * u[1] + z * u[2]) * per_metre))
-        cell[i, 1] = np.int64(np.floor((x * v[0] + y * v[1] + z * v[2]) * per_metre))
+        cell[i, 0], cell[i, 1] = cell_of(points[i], frame, per_metre)
 
 
 @njit(cache=True)
-def bounds(cell: Array, low: Array, high: Array) -> None:
-    """Lowest and highest cell of (N, 2), in place."""
-    low[:] = cell[0]
-    high[:] = cell[0]
-    for i in range(1, len(cell)):
-        for a in range(2):
-            low[a] = min(low[a], cell[i, a])
-            high[a] = max(high[a], cell[i, a])
+def bounds(points: Array, frame: Array, per_metre: float) -> tuple[int, int, int, int]:
+    """The lowest and the highest u, the lowest and the highest v of the cells of points (N ≥ 1, 3); see `cell_of`."""
+    u0, v0 = cell_of(points[0], frame, per_metre)
+    u1, v1 = u0, v0
+    for i in range(1, len(points)):
+        u, v = cell_of(points[i], frame, per_metre)
+        u0, u1 = min(u0, u), max(u1, u)
+        v0, v1 = min(v0, v), max(v1, v)
+    return u0, u1, v0, v1
 
 
 @njit(cache=True)
-def cover(counts: Array, rows: Array, columns: Array, cell: Array, lowest: Array, sign: int) -> int:
+def extent(ends: Array, line: Array, first: int, trim: float) -> None:
+    """The first cell (of which that of `line` (n,) int32, covered cells of each, is `first`) with more than the share
+    `trim` of the fullest, and one past the last, in place (2,); none are `first` and `first`."""
+    most = 0
+    for n in line:
+        most = max(most, n)
+    ends[0] = ends[1] = first
+    found = False
+    for i in range(len(line)):
+        if line[i] > trim * most:
+            if not found:
+                ends[0] = first + i
+                found = True
+            ends[1] = first + i + 1
+
+
+@njit(cache=True)
+def bound_rectangle(
+    low: Array, high: Array, ends: Array, frame: Array, axis: Array, normal: Array, offset: float
+) -> None:
+    """The axis-aligned box low, high (3,) [m] of a rectangle of the plane normal·p = offset, in place.
+
+    ends  : (2, 2) [m] of the rectangle along u and v of `frame`, (3, 3) rows origin, u, v
+    axis  : (3,) along which the frame is lifted to the plane
+    """
+    low[:], high[:] = np.inf, -np.inf
+    slope = axis[0] * normal[0] + axis[1] * normal[1] + axis[2] * normal[2]
+    for corner in range(4):
+        u, v = ends[0, corner & 1], ends[1, corner >> 1]
+        along = offset
+        for a in range(3):
+            along -= (frame[0, a] + u * frame[1, a] + v * frame[2, a]) * normal[a]
+        along /= slope
+        for a in range(3):
+            x = frame[0, a] + u * frame[1, a] + v * frame[2, a] + along * axis[a]
+            low[a], high[a] = min(low[a], x), max(high[a], x)
+
+
+@njit(cache=True)
+def cover(
+    counts: Array, rows: Array, columns: Array, lowest: Array, points: Array, frame: Array, per_metre: float, sign: int
+) -> int:
     """Add (`sign` 1) or take away (−1) samples from a raster's cells, in place; returns the change in covered cells.
 
     counts  : (U, V) uint16 samples per cell, of which the first is cell `lowest` (2,)
     rows    : (U,) int32, columns : (V,) int32, covered cells per row and column
-    cell    : (N, 2) int64
+    points  : (N, 3) [m], in cells of the raster; see `cell_of`
     """
     change = 0
-    for i in range(len(cell)):
-        u, v = cell[i, 0] - lowest[0], cell[i, 1] - lowest[1]
+    for i in range(len(points)):
+        u, v = cell_of(points[i], frame, per_metre)
+        u -= lowest[0]
+        v -= lowest[1]
         before = counts[u, v]
         if sign > 0:
             if before < 65535:
@@ -151,11 +202,46 @@ def coarsen(coarse: Array, counts: Array, stride: int) -> None:
 
 
 @njit(cache=True)
+def close_gaps(mask: Array, counts: Array) -> None:
+    """The covered cells of `counts` (U, V), and those between them that no 3 × 3 cells without a covered one hold (the
+    morphological closing), in place, with a margin of three cells: mask (U + 6, V + 6) bool."""
+    width, height = mask.shape
+    grown = np.zeros((width, height), np.bool_)
+    mask[:] = False
+    for u in range(counts.shape[0]):
+        for v in range(counts.shape[1]):
+            if counts[u, v]:
+                mask[u + 2 : u + 5, v + 3] = True
+    for u in range(width):
+        for v in range(1, height - 1):
+            grown[u, v] = mask[u, v - 1] or mask[u, v] or mask[u, v + 1]
+    for u in range(width):
+        for v in range(1, height - 1):
+            mask[u, v] = grown[u, v - 1] and grown[u, v] and grown[u, v + 1]
+    for v in range(height):
+        before = False
+        for u in range(width - 1):
+            here = mask[u, v]
+            mask[u, v] = before and here and mask[u + 1, v]
+            before = here
+
+
+@njit(cache=True)
+def _close(corners: Array, n: int, ring: Array, first: int, length: int, index_of: Array) -> int:
+    """Append ring[first:length] to the `n` corners, and forget where its corners are; returns how many there are."""
+    for i in range(first, length):
+        corners[n + i - first] = ring[i]
+        index_of[ring[i, 0], ring[i, 1]] = -1
+    return n + length - first
+
+
+@njit(cache=True)
 def trace(mask: Array, corners: Array, ring_end: Array) -> int:
     """The borders of the covered cells as rings of grid corners, in place; returns how many rings.
 
     Covered cells are on the left: outer rings run counter-clockwise, holes clockwise. Cells that touch in a corner
-    only are kept apart. Only corners where the border turns are listed.
+    only are kept apart, and a border that comes to a corner twice is cut into two rings there: no ring meets itself.
+    Only corners where the border turns are listed.
 
     mask     : (U, V) bool, with an uncovered margin of one cell
     corners  : (C, 2) int32 out; ring r is corners[ring_end[r - 1]:ring_end[r]];  ring_end : (R,) int64 out
@@ -169,13 +255,15 @@ def trace(mask: Array, corners: Array, ring_end: Array) -> int:
     right_u = np.array([0, 0, -1, -1])
     right_v = np.array([-1, 0, 0, -1])
     visited = np.zeros((width, height), np.bool_)
+    index_of = np.full((width, height), -1, np.int32)  # of the ring being traced, where in `ring` each corner is
+    ring = np.empty_like(corners)
     n, rings = 0, 0
     for start_u in range(width):
         for start_v in range(1, height):
             if not mask[start_u, start_v] or mask[start_u, start_v - 1] or visited[start_u, start_v]:
                 continue
             u, v, way = start_u, start_v, 0
-            begin = n
+            length = 0
             while True:
                 if way == 0:
                     if visited[u, v]:
@@ -188,11 +276,19 @@ def trace(mask: Array, corners: Array, ring_end: Array) -> int:
                     way = (before + turn) % 4
                     if mask[u + left_u[way], v + left_v[way]] and not mask[u + right_u[way], v + right_v[way]]:
                         break
-                if way != before:
-                    corners[n, 0] = u
-                    corners[n, 1] = v
-                    n += 1
-            if n > begin:
+                if way == before:
+                    continue
+                if index_of[u, v] >= 0:
+                    first = index_of[u, v]
+                    n = _close(corners, n, ring, first, length, index_of)
+                    ring_end[rings] = n
+                    rings += 1
+                    length = first
+                ring[length, 0], ring[length, 1] = u, v
+                index_of[u, v] = length
+                length += 1
+            if length:
+                n = _close(corners, n, ring, 0, length, index_of)
                 ring_end[rings] = n
                 rings += 1
     return rings
@@ -210,3 +306,30 @@ def ring_areas(area: Array, corners: Array, ring_end: Array) -> None:
             last = i
         area[r] = 0.5 * twice
         begin = ring_end[r]
+
+
+@njit(cache=True)
+def nest(owner: Array, area: Array, large: Array, corners: Array, ring_end: Array) -> None:
+    """The outer ring about each hole that is `large` (R,) bool: the smallest such; owner (R,) int64, in place, −1 for
+    other rings. Rings as `trace` found them, areas as `ring_areas` did."""
+    owner[:] = -1
+    for hole in range(len(area)):
+        if not large[hole] or area[hole] >= 0.0:
+            continue
+        begin = ring_end[hole - 1] if hole else 0
+        # beside the first border of the hole, where no border is: both its sides lie within the outer ring
+        x = 0.5 * (corners[begin, 0] + corners[begin + 1, 0]) + 0.25
+        y = 0.5 * (corners[begin, 1] + corners[begin + 1, 1]) + 0.25
+        for outer in range(len(area)):
+            if not large[outer] or area[outer] <= 0.0 or (owner[hole] >= 0 and area[outer] > area[owner[hole]]):
+                continue
+            first = ring_end[outer - 1] if outer else 0
+            last = ring_end[outer] - 1
+            inside = False
+            for i in range(first, ring_end[outer]):
+                a, b = corners[last], corners[i]
+                if (a[1] > y) != (b[1] > y) and a[0] > x:  # borders run along the axes
+                    inside = not inside
+                last = i
+            if inside:
+                owner[hole] = outer

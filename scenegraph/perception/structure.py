@@ -177,7 +177,7 @@ class Structure:
             if not moved and self._passed[plane_id] < _LOOK_EVERY:
                 continue
             self._passed[plane_id] = 0
-            facts = replace(facts, evidence=dict(evidence(planes.samples(plane_id, 300))))
+            facts = replace(facts, evidence=dict(evidence(planes.spread(plane_id, 300))))
             if old is not None and not moved and not self._reclassified(old.facts, facts):
                 continue
             self._keep(facts, summary, k, planes)
