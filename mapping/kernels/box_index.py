@@ -14,7 +14,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.kernels import hashing
-from mapping.kernels.boxes import CELL_LIMIT, _overlap, outside
+from mapping.kernels.box_grid import CELL_LIMIT
+from mapping.kernels.boxes import outside, overlap
 
 Array = NDArray[Any]
 
@@ -185,7 +186,7 @@ def meeting_box(
                 extent += abs(axes[slot, r, k]) * half[slot, k]
             inside &= away <= 0.0
             apart |= away > extent
-        if inside or not (apart or not _overlap(center[slot], half[slot], axes[slot], middle, reach, upright)):
+        if inside or not (apart or not overlap(center[slot], half[slot], axes[slot], middle, reach, upright)):
             found[n] = slot
             n += 1
     return found[:n]

@@ -6,8 +6,8 @@ value beside it, and crosses out the row that it replaces.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Self, TypeVar, overload
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple, Self, TypeVar, overload
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from scenegraph.graph.node import LAYERS, Node
 from scenegraph.graph.stored_edges import StoredEdges
 from scenegraph.graph.tables import EdgeTable, NodeTable
 
-__all__ = ["GraphIndex", "Nearby", "NodeIndex"]
+__all__ = ["GraphIndex", "Nearby", "NodeIndex", "Told"]
 
 _ByPair = dict[tuple[str, str], Edge]
 _ByEnd = dict[str, dict[str, dict[str, Edge]]]  # one end -> relation -> the other end -> edge
@@ -64,6 +64,15 @@ class Nearby(Sequence[tuple[Node, float]]):
 
     def __repr__(self) -> str:
         return f"Nearby({', '.join(f'{i}: {d:.2f} m' for i, d in zip(self.ids, self.distances, strict=True))})"
+
+
+class Told(NamedTuple):
+    """Ids, labels, whether there is a box, and when it was last seen [ns], of some nodes."""
+
+    ids: list[str]
+    labels: list[str]
+    boxed: list[bool]
+    last_seen_ns: list[int]
 
 
 class NodeIndex(Mapping[str, Node]):
@@ -116,6 +125,24 @@ class NodeIndex(Mapping[str, Node]):
                     made[slot] = node
                 self._n_unmade -= len(missing)
         return [self._made[slot] for slot in slots]  # type: ignore[misc]
+
+    def ids_at(self, slots: list[int]) -> list[str]:
+        """The ids of the nodes in these slots, none of which is made for it."""
+        made, rows = self._made, () if self.table is None else self.table.ids
+        return [rows[slot] if (node := made[slot]) is None else node.id for slot in slots]
+
+    def told(self, slots: list[int]) -> Told:
+        """What is told of the nodes in these slots, none of which is made for it."""
+        table, rows = self.table, []
+        for slot in slots:
+            node = self._made[slot]
+            if node is not None:
+                rows.append((node.id, node.label, node.box is not None, node.last_seen_ns))
+            else:
+                assert table is not None
+                label = table.labels[table.label[slot]]
+                rows.append((table.ids[slot], label, bool(table.boxed[slot]), int(table.last_seen_ns[slot])))
+        return Told(*(list(column) for column in zip(*rows, strict=True))) if rows else Told([], [], [], [])
 
     def nearby(self, slots: list[int], distances: list[float]) -> Nearby:
         """The nodes in these slots as they are now, not yet made, and their distances."""
@@ -314,6 +341,34 @@ class GraphIndex:
         for begins, index in ((True, self._by_source), (False, self._by_target)):
             yield from self._stored_at(node_id, None, begins=begins)
             yield from _at(index.get(node_id), None)
+
+    def edges_at(self, node_ids: Collection[str], relations: Collection[str]) -> list[Edge]:
+        """The edges of these relations that begin or end at any of the nodes, each once."""
+        found: list[Edge] = []
+        if self._stored is not None:
+            slots = self._slots(node_ids)
+            rows = [self._stored.rows_at(slots, relations, begins=begins) for begins in (True, False)]
+            found += self._stored.made(np.union1d(*rows))
+        for node_id in node_ids:
+            here, there = self._by_source.get(node_id, {}), self._by_target.get(node_id, {})
+            for relation in relations:
+                found += here.get(relation, {}).values()
+                found += (edge for edge in there.get(relation, {}).values() if edge.source not in node_ids)
+        return found
+
+    def targets(self, relation: str, sources: Collection[str]) -> set[str]:
+        """Where the edges of a relation end that begin at any of the nodes."""
+        found: set[str] = set()
+        if self._stored is not None:
+            rows = self._stored.rows_at(self._slots(sources), (relation,), begins=True)
+            found.update(self._stored.table.ids[row] for row in self._stored.table.target[rows].tolist())
+        for node_id in sources:
+            found.update(self._by_source.get(node_id, {}).get(relation, ()))
+        return found
+
+    def _slots(self, node_ids: Iterable[str]) -> list[int]:
+        slot_of = self.nodes.slot_of
+        return [slot_of[node_id] for node_id in node_ids if node_id in slot_of]
 
     def tables(self) -> tuple[NodeTable, EdgeTable]:
         """Everything as tables, in the order of `find_nodes` and `find_edges`."""

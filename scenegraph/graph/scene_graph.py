@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import Any, Self
 
 import networkx as nx
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from scenegraph.errors import InvalidGraphValue, InvariantViolated, RevisionGap, UnknownNode, nearest
 from scenegraph.graph.delta import Delta, EdgeChanges, GraphChanges, NodeChanges, NodeDeletion, Snapshot
 from scenegraph.graph.edge import Edge, EdgeKey
 from scenegraph.graph.history import Change, History, Life, Undo
-from scenegraph.graph.index import GraphIndex, Nearby
+from scenegraph.graph.index import GraphIndex, Nearby, Told
 from scenegraph.graph.invariants import check_edges_have_ends, check_layers_stay, check_no_edge_is_left
 from scenegraph.graph.node import Layer, Node, Tombstone
 from scenegraph.graph.spatial import SpatialIndex
@@ -77,7 +77,7 @@ class SceneGraph:
         p = np.array(p_map, dtype=np.float64)
         if p.shape != (3,) or not np.isfinite(p).all() or not radius_m >= 0.0:
             raise InvalidGraphValue(f"within: expected a point (3,) and a radius ≥ 0, got {p_map!r} and {radius_m!r}")
-        slots, distances = self._places.within(p, radius_m, layer)
+        slots, distances = self.space.within(p, radius_m, layer)
         return self._index.nodes.nearby(slots, distances)
 
     def in_box(self, low: ArrayLike, high: ArrayLike, layer: Layer | None = None) -> list[Node]:
@@ -85,13 +85,7 @@ class SceneGraph:
         a, b = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
         if a.shape != (3,) or b.shape != (3,) or not (a <= b).all():
             raise InvalidGraphValue(f"in_box: expected a lower and a higher corner (3,), got {low!r} and {high!r}")
-        return self._index.nodes.many(self._places.in_box(a, b, layer).tolist())
-
-    @property
-    def _places(self) -> SpatialIndex:
-        if self._space is None:
-            self._space = SpatialIndex(self._index.nodes)
-        return self._space
+        return self._index.nodes.many(self.space.in_box(a, b, layer).tolist())
 
     def node(self, node_id: str) -> Node:
         """The node of this id. Raises UnknownNode, whose hint says what became of it, or names the nearest ids."""
@@ -180,6 +174,36 @@ class SceneGraph:
         for edge in self._index.all_edges():
             graph.add_edge(edge.source, edge.target, key=edge.relation, **edge.model_dump(exclude={"source", "target"}))
         return graph
+
+    # -- by slot: for work on many nodes as arrays, until the next change ---------------------------------------------
+
+    @property
+    def space(self) -> SpatialIndex:
+        """Where the nodes are, by slot; built when first asked for, and kept by every change."""
+        if self._space is None:
+            self._space = SpatialIndex(self._index.nodes)
+        return self._space
+
+    def slots(self, node_ids: Collection[str]) -> NDArray[np.int32]:
+        """The slots (k,) of nodes that are there; raises KeyError for one that is not."""
+        slot_of = self._index.nodes.slot_of
+        return np.fromiter((slot_of[node_id] for node_id in node_ids), np.int32, len(node_ids))
+
+    def ids_at(self, slots: NDArray[np.integer[Any]]) -> list[str]:
+        """The ids of the nodes in slots (k,)."""
+        return self._index.nodes.ids_at(slots.tolist())
+
+    def told(self, slots: NDArray[np.integer[Any]]) -> Told:
+        """What there is to know of the nodes in slots (k,) beside their boxes, without making them."""
+        return self._index.nodes.told(slots.tolist())
+
+    def edges_at(self, node_ids: Collection[str], relations: Collection[str]) -> list[Edge]:
+        """The edges of these relations that begin or end at any of the nodes, each once."""
+        return self._index.edges_at(node_ids, relations)
+
+    def targets(self, relation: str, sources: Collection[str]) -> set[str]:
+        """Where the edges of a relation end that begin at any of the nodes; the edges are not made."""
+        return self._index.targets(relation, sources)
 
     # -- changing -----------------------------------------------------------------------------------------------------
 

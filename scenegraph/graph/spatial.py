@@ -11,14 +11,22 @@ from mapping.kernels import box_index, boxes
 from scenegraph.graph.index import NodeIndex
 from scenegraph.graph.node import LAYERS, Layer, Node
 
-__all__ = ["SpatialIndex"]
+__all__ = ["SpatialIndex", "box_of"]
 
 Array = NDArray[Any]
 _LAYER_CODE: dict[str, int] = {name: code for code, name in enumerate(LAYERS)}
 
 
+def box_of(node: Node) -> tuple[Array, Array, Array]:
+    """Centre (3,), half size (3,) [m] and axes (3, 3) of a node's box; a node without one is a point."""
+    if node.box is None:
+        return node.position, np.zeros(3), np.eye(3)
+    return node.box.center, 0.5 * node.box.size, node.box.rotation
+
+
 class SpatialIndex:
-    """The boxes of nodes by slot: `center`, `half` (n, 3), `axes` (n, 3, 3); a node without a box is a point.
+    """The boxes of nodes by slot: `center`, `half` (n, 3) [m], `axes` (n, 3, 3), `layer` (n,), index into `LAYERS`; a
+    node without a box is a point. The arrays are for reading; slots that are not taken have any values.
 
     Memory: some 170 bytes a slot.
     """
@@ -79,7 +87,7 @@ class SpatialIndex:
         order = np.lexsort((slots, distance))
         return slots[order].tolist(), distance[order].tolist()
 
-    def in_box(self, low: Array, high: Array, layer: Layer | None) -> Array:
+    def in_box(self, low: Array, high: Array, layer: Layer | None = None) -> Array:
         """The slots, in order, of the nodes that have a point between two corners (3,)."""
         slots: Array = box_index.meeting_box(
             self._candidates(low, high),
@@ -93,6 +101,11 @@ class SpatialIndex:
         )
         return np.sort(slots)
 
+    def bounds(self, slots: Array) -> tuple[Array, Array]:
+        """The lowest and the highest corners (k, 3) [m] of the boxes in slots (k,)."""
+        reach = (np.abs(self.axes[slots]) * self.half[slots, None, :]).sum(axis=2)
+        return self.center[slots] - reach, self.center[slots] + reach
+
     def _candidates(self, low: Array, high: Array) -> Array:
         found: Array = box_index.candidates(
             low, high, self._level, self._cell, self._after, self._table, self._heads, self._n_at, self._reach, self._n
@@ -100,11 +113,7 @@ class SpatialIndex:
         return found
 
     def _write(self, slot: int, node: Node) -> None:
-        if node.box is None:
-            self.center[slot], self.half[slot], self.axes[slot] = node.position, 0.0, np.eye(3)
-        else:
-            self.center[slot], self.half[slot] = node.box.center, 0.5 * node.box.size
-            self.axes[slot] = node.box.rotation
+        self.center[slot], self.half[slot], self.axes[slot] = box_of(node)
         self.layer[slot] = _LAYER_CODE[node.layer]
 
     def _enter(self, slots: Array) -> None:

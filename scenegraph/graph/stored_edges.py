@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, Self
 
 import numpy as np
@@ -15,6 +15,7 @@ from scenegraph.graph.tables import EdgeTable
 __all__ = ["StoredEdges"]
 
 Rows = NDArray[np.int32]
+_NO_ROWS: Rows = np.empty(0, np.int32)
 
 
 class StoredEdges:
@@ -78,6 +79,15 @@ class StoredEdges:
     def rows_to(self, target: int, relation: str | None) -> Rows:
         """The rows that end at a row of nodes."""
         return self._rows_at(self._by_target, target, relation)
+
+    def rows_at(self, ends: Iterable[int], relations: Iterable[str], *, begins: bool) -> Rows:
+        """The rows of some relations that begin, or end, at any of some rows of nodes."""
+        index = self._row_of if begins else self._by_target
+        rows = np.concatenate([_NO_ROWS, *(index.rows(end) for end in ends)])
+        wanted = np.zeros(len(self.table.relations), np.bool_)
+        wanted[[self._code[name] for name in relations if name in self._code]] = True
+        found: Rows = rows[self._alive[rows] & wanted[self.table.relation[rows]]]
+        return found
 
     def rows_of(self, relation: str | None) -> NDArray[np.integer[Any]]:
         """All rows of a relation."""

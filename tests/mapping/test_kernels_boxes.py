@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapping.kernels import boxes
+from mapping.kernels import box_grid, boxes
 
 Array = NDArray[np.float64]
 
@@ -60,16 +60,17 @@ def test_what_meets_is_what_comparing_all_finds(spread: float, cell: float) -> N
     low, high = center - half, center + half
     meet = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
     size = np.full(3, cell)
-    grid = boxes.fill_grid(low, high, size)
-    found = boxes.meeting(low, high, low, high, size, *grid, True)
+    found = box_grid.meeting(low, high, low, high, size, True)
     assert sorted(map(tuple, found.tolist())) == sorted(map(tuple, np.argwhere(np.triu(meet, 1)).tolist()))
-    some = boxes.meeting(low[:50], high[:50], low, high, size, *grid, False)
-    assert sorted(map(tuple, some.tolist())) == sorted(map(tuple, np.argwhere(meet[:50]).tolist()))
+    for n in (50, 5):  # by the grid, and by comparing few with all
+        some = box_grid.meeting(low[:n], high[:n], low, high, size, False)
+        assert sorted(map(tuple, some.tolist())) == sorted(map(tuple, np.argwhere(meet[:n]).tolist()))
+        assert (np.diff(some[:, 0]) >= 0).all()
 
 
 def test_footprints_hold_the_ground_under_every_corner() -> None:
     center, half, axes = some_boxes(1, 60, 2.0)
-    corners, count, area, rectangle = boxes.footprints_of(center, half, axes)
+    *_, corners, count, area, rectangle = boxes.describe(center, half, axes)
     rng = np.random.default_rng(0)
     for n in range(60):
         ring = corners[n, : count[n]]

@@ -14,7 +14,7 @@ from reasoning import KnowledgeBase
 from reasoning.terms import Atom, Compound
 from scenegraph.facts import node_facts
 from scenegraph.graph import Box, Edge, GraphChanges, Node, NodeTable, SceneGraph
-from scenegraph.relating import RELATIONS, Measured, Thresholds, decide, follow, measure, relate
+from scenegraph.relating import RELATIONS, Measured, Things, Thresholds, decide, follow, measure, relate
 from tests.support.many_boxes import building
 
 LAWS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -104,15 +104,15 @@ def arranged(drawn: list, *, walls: bool = True) -> list[Node]:
 # -- the rules --------------------------------------------------------------------------------------------------------
 
 
-def tell(knowledge: KnowledgeBase, measured: Measured) -> list[str]:
+def tell(knowledge: KnowledgeBase, nodes: list[Node], measured: Measured) -> list[str]:
     """The measurements as facts; returns what can be asked about."""
-    ids = measured.table.ids
-    facts: list[Compound] = [fact for node in measured.table for fact in node_facts(node)]
+    ids = measured.things.ids
+    facts: list[Compound] = [fact for node in nodes for fact in node_facts(node)]
 
     def fact(name: str, *args: object) -> None:
         facts.append(Compound("measured", tuple(Atom(a) if isinstance(a, str) else a for a in (name, *args))))  # type: ignore[misc]
 
-    things = [n for n, node in enumerate(measured.table) if node.layer in ("object", "structure")]
+    things = [n for n, node in enumerate(nodes) if node.layer in ("object", "structure")]
     for n in things:
         fact("lowest", ids[n], float(measured.lowest[n]))
         fact("longer_side", ids[n], float(measured.longer_side[n]))
@@ -144,14 +144,15 @@ def tell(knowledge: KnowledgeBase, measured: Measured) -> list[str]:
 def agree(knowledge: KnowledgeBase, nodes: list[Node]) -> None:
     """The rules derive from the measurements the edges that are decided on columns."""
     limits = Thresholds.of(knowledge)
-    measured = measure(NodeTable.of(nodes), limits)
-    asked = tell(knowledge, measured)
+    table = NodeTable.of(nodes)
+    measured = measure(Things.of(table, limits), limits)
+    asked = tell(knowledge, nodes, measured)
     try:
         _, derived = knowledge.derived_edges(asked)
     finally:
         knowledge.update(forget=[node.id for node in nodes])
     expected = {edge[:3]: edge[3:] for edge in derived if edge.relation in RELATIONS}
-    found = {tuple(e.key): (e.value, e.threshold, e.confidence) for e in decide(measured, limits)}
+    found = {tuple(e.key): (e.value, e.threshold, e.confidence) for e in decide(measured, limits).table(table)}
     assert found.keys() == expected.keys()
     for key, numbers in expected.items():
         assert found[key] == pytest.approx(tuple(map(float, numbers)), abs=1e-9)
