@@ -633,6 +633,7 @@ arc(Relation, I, J, Vector, Domains, Arc) :-
     arg(J, Vector, B),
     arg(I, Domains, DomainA),
     arg(J, Domains, DomainB),
+    \+ indifferent(Relation, DomainA, DomainB),
     findall(BitA-BitB,
             ( bit(LabelA, BitA),
               DomainA /\ BitA =\= 0,
@@ -649,6 +650,12 @@ arc(Relation, I, J, Vector, Domains, Arc) :-
         masks(Turned, Masks),
         Arc = J-(I-Masks)
     ).
+
+%   What can only be no_feature leaves the other plane free, but for the leaf that ends where a box does.
+indifferent(Relation, DomainA, DomainB) :-
+    ( DomainA =:= 16 ; DomainB =:= 16 ),
+    !,
+    Relation \== equalheight.
 
 masks(Pairs, m(Wall, Floor, Ceiling, Door, NoFeature)) :-
     mask(Pairs, 1, 0, Wall),

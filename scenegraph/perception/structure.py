@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mapping.geometry import SE3
 from mapping.planes import Plane, PlaneChange, PlaneMap, PlaneSummary
 from reasoning.knowledge import KnowledgeBase
-from reasoning.terms import Atom, Compound, Term, Var
+from reasoning.terms import Atom, term_text
 from scenegraph.graph import Box, GraphChanges, Node, SceneGraph
 from scenegraph.perception.neighbours import GroundIndex
 from scenegraph.perception.plane_relations import (
@@ -47,26 +47,21 @@ def rules_labeller(knowledge: KnowledgeBase, *, timeout_s: float = 5.0) -> Label
     """Labels by the rules: `label_planes/3` of `rules/structure.pl`, asked of a knowledge base."""
 
     def label(planes: Sequence[PlaneFacts], relations: Sequence[Relation]) -> dict[int, str]:
-        goal = Compound(
-            "label_planes",
-            (
-                [_plane_term(plane) for plane in planes],
-                [Compound("relation", (Atom(name), a, b)) for name, a, b in relations],
-                Var("Labels"),
-            ),
-        )
-        answer = knowledge.call(goal, timeout_s=timeout_s)[0]["Labels"]
+        told = ",".join(map(_plane_text, planes))
+        related = ",".join([f"relation({name},{a},{b})" for name, a, b in relations])
+        answer = knowledge.call(f"label_planes([{told}],[{related}],Labels)", timeout_s=timeout_s)[0]["Labels"]
         return {int(pair.args[0]): pair.args[1].name for pair in answer}  # type: ignore[union-attr]
 
     return label
 
 
-def _plane_term(plane: PlaneFacts) -> Compound:
-    evidence: Term = [Compound("-", (Atom(name), float(share))) for name, share in sorted(plane.evidence.items())]
-    if plane.given is not None:
-        evidence = Compound("given", (Atom(plane.given),))
-    measures = (plane.z_min, plane.z_max, plane.width_m, plane.area_m2)
-    return Compound("plane", (plane.id, Atom(plane.facing), *map(float, measures), evidence))
+def _plane_text(plane: PlaneFacts) -> str:
+    """A plane as `rules/structure.pl` takes it: written here, since many go along each time; without operators, since a
+    class may be called like one (`table`)."""
+    shares = [f"-({term_text(Atom(name))},{share:.4f})" for name, share in sorted(plane.evidence.items())]
+    evidence = f"[{','.join(shares)}]" if plane.given is None else f"given({term_text(Atom(plane.given))})"
+    measures = f"{plane.z_min:.4f},{plane.z_max:.4f},{plane.width_m:.4f},{plane.area_m2:.4f}"
+    return f"plane({plane.id},{plane.facing},{measures},{evidence})"
 
 
 _HUB = 24
