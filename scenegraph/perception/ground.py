@@ -78,8 +78,8 @@ class Grid:
 class GroundGrid(Grid):
     """The ground of the rooms of a storey.
 
-    free : bool, room : int32 (0 = none), drawn : bool (an operator gave it to the room), sky : bool (free above every
-    ceiling), tall : bool (something is as high as that)
+    free : bool, room : int32 (0 = none), drawn : bool (an operator gave it to the room, or to none), sky : bool (free
+    above every ceiling), tall : bool (something is as high as that)
     """
 
     channels: ClassVar[Mapping[str, type]] = {

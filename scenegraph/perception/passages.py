@@ -76,6 +76,7 @@ class Passages:
         self._shapes: dict[str, Shape] = {}
         self._index = GroundIndex()
         self._stairs: set[str] = set()
+        self._dismissed: list[Passage] = []
         self._next = 1
 
     def see(self, things: Iterable[str], shapes: Mapping[str, Shape], labels: Mapping[str, str]) -> set[str]:
@@ -123,6 +124,7 @@ class Passages:
                 found += self._on_storey(storey, moved, (low, high), near, occupancy)
             for stairs in (thing for thing in near if thing in self._stairs):
                 found += _up_stairs(stairs, self._shapes[stairs], storeys)
+        found = [passage for passage in found if not self._is_dismissed(passage)]
         before = {by: self._known[by] for room in moved for by in self._of_room.get(room, ())}
         before.update({by: self._known[by] for by in moved & self._known.keys()})
         now = {p.by: p for p in found}
@@ -144,8 +146,33 @@ class Passages:
                     _adjoin(self._known[by], stamp_ns, changes)
         return changes
 
-    def restore(self, graph: SceneGraph, shapes: Mapping[str, Shape], labels: Mapping[str, str]) -> None:
-        """Know again the passages of a graph that comes back from disk."""
+    def dismiss(self, by: str, graph: SceneGraph) -> GraphChanges:
+        """Give up a passage without a door: that two rooms open onto each other there is no way any more."""
+        changes = GraphChanges()
+        passage = self._known.get(by)
+        if passage is not None and by.startswith("passage_"):
+            self._dismissed.append(passage)
+            self._forget(passage, changes, graph)
+        return changes
+
+    def _is_dismissed(self, passage: Passage) -> bool:
+        return passage.by.startswith("passage_") and any(
+            passage.rooms == told.rooms and math.dist(passage.at, told.at) < SAME_M for told in self._dismissed
+        )
+
+    def document(self) -> list[list[Any]]:
+        """The passages that were given up, as JSON values; `restore` knows the others by the graph."""
+        return [[p.by, list(p.rooms), list(p.at), p.width_m, p.is_open, p.floor_z] for p in self._dismissed]
+
+    def restore(
+        self,
+        document: Iterable[Sequence[Any]],
+        graph: SceneGraph,
+        shapes: Mapping[str, Shape],
+        labels: Mapping[str, str],
+    ) -> None:
+        """Know again the passages of a graph that comes back from disk, and those that were given up."""
+        self._dismissed = [Passage(by, (a, b), (x, y), *rest) for by, (a, b), (x, y), *rest in document]
         self.see(shapes, shapes, labels)
         for edge in graph.edges("connects"):
             rooms = sorted({e.target for e in graph.edges("connects", source=edge.source)})

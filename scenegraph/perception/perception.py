@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 Array: TypeAlias = NDArray[Any]
 
 BUILDING = "building_1"
+FARTHEST_UP_M = 1e4
+"""No thing lies higher or lower."""
 BESIDE_VOXELS = 1.5
 """Surface of the map so near a box that was detected is the thing's."""
 
@@ -156,12 +158,7 @@ class Perception:
                 reason = {"type_reason": f"told by {told.author}"} if key == "type" else {}
                 changes.put(_with(graph.node(node), **{key: value}, **reason))
             case "delete", (str(node),):
-                graph.node(node)
-                reason_given = told.reason or f"deleted by {told.author}"
-                touched = self.objects.forget(node, self._map.instances)
-                touched |= self.clusters.forget(node) | self.boxes.forget(node)
-                changes.delete_node(node, reason_given)
-                measured = self.relations.update(self.objects.shapes, self.objects.labels, touched, self.building)
+                measured, touched = self._delete(graph.node(node), told, changes, graph)
             case "merge", (str(kept), str(lost)) if "room" in (graph.node(kept).layer, graph.node(lost).layer):
                 room_changes, rooms = told_rooms.merge(self.rooms, kept, lost, graph, told.stamp_ns)
                 measured, touched = self._redraw(room_changes, rooms, changes, graph, told.stamp_ns)
@@ -184,6 +181,30 @@ class Perception:
         self._meaning.infer(changes, measured, touched, graph, f"told by {told.author}", told.stamp_ns)
         return changes
 
+    def _delete(
+        self, node: Node, told: Statement, changes: GraphChanges, graph: SceneGraph
+    ) -> tuple[MeasurementChange, set[str]]:
+        """Delete a node and give up what is behind it, so that it does not come back by itself."""
+        if node.layer in ("building", "storey", "place"):
+            raise InvalidStatement(
+                f"delete: {node.id} is a {node.layer}, which follows from what was mapped and would come back",
+                hint="objects, structure, rooms and agents can be deleted",
+            )
+        reason = told.reason or f"deleted by {told.author}"
+        if node.layer == "room":
+            room_changes, rooms = told_rooms.delete(self.rooms, node.id, reason, graph)
+            return self._redraw(room_changes, rooms, changes, graph, told.stamp_ns)
+        changes.extend(self.passages.dismiss(node.id, graph))
+        planes = self.structure.dismiss(node.id)
+        self.building.update((), planes)
+        self.rooms.forget_planes(planes)
+        touched = self.objects.forget(node.id, self._map.instances)
+        touched |= self.clusters.forget(node.id) | self.boxes.forget(node.id)
+        self._connect_rooms(changes, set(), touched, np.empty((0, 3), np.int64), graph, told.stamp_ns)
+        changes.delete_node(node.id, reason)
+        measured = self.relations.update(self.objects.shapes, self.objects.labels, touched, self.building)
+        return measured, touched
+
     def _redraw(
         self, room_changes: GraphChanges, rooms: set[str], changes: GraphChanges, graph: SceneGraph, stamp_ns: int
     ) -> tuple[MeasurementChange, set[str]]:
@@ -192,7 +213,11 @@ class Perception:
         self._connect_rooms(changes, rooms, set(), np.empty((0, 3), np.int64), graph, stamp_ns)
         _keep_told(changes, graph)
         affected = self.relations.things_in(rooms)
-        return self._room_shares(set(), rooms, graph), rooms | affected
+        here = set[str]()
+        for x0, y0, x1, y1 in (self.rooms.footprints[room].bounds for room in rooms & self.rooms.footprints.keys()):
+            about = graph.in_box((x0, y0, -FARTHEST_UP_M), (x1, y1, FARTHEST_UP_M))
+            here.update(node.id for node in about if node.id in self.objects.shapes)
+        return self._room_shares(here, rooms, graph), rooms | affected | here
 
     def _connect_rooms(
         self,
@@ -228,6 +253,8 @@ class Perception:
             "boxes": self.boxes.document(),
             "relations": self.relations.document(),
             "structure": self.structure.document(),
+            "dismissed_planes": self.structure.dismissed,
+            "dismissed_passages": self.passages.document(),
         }
 
     def restore(self, document: Mapping[str, Any], rooms: Mapping[str, Array], graph: SceneGraph) -> None:
@@ -236,9 +263,10 @@ class Perception:
         if "boxes" in document:
             self.boxes.restore(document["boxes"])
         self.rooms.restore(rooms, graph)
-        self.passages.restore(graph, self.objects.shapes, self.objects.labels)
+        given_up = document.get("dismissed_passages", ())
+        self.passages.restore(given_up, graph, self.objects.shapes, self.objects.labels)
         self.free_places.restore(self._map.occupancy, self.rooms, graph)
-        self.structure.restore(document["structure"], self._map.planes, graph)
+        self.structure.restore(document["structure"], self._map.planes, graph, document.get("dismissed_planes", ()))
         if "clusters" in document:
             self.clusters.restore(document["clusters"], self._map, self.structure.labels, graph)
         self.relations.restore(document["relations"], self.objects.shapes)

@@ -85,6 +85,7 @@ class Structure:
         self._node: dict[int, Node] = {}
         self._between: dict[int, dict[int, list[Relation]]] = {}
         self._unsettled: set[int] = set()
+        self._dismissed: set[int] = set()
         self.fresh: list[tuple[str, Plane]] = []
         """(label, plane) of the planes that the last update measured or labelled anew."""
         self._passed: dict[int, int] = {}
@@ -109,7 +110,9 @@ class Structure:
         for plane_id in change.deleted:
             active |= self._forget(plane_id, change.merged.get(plane_id), changes)
         active -= set(change.deleted)
-        noticed = self._notice(planes, change.changed, evidence)
+        self._dismissed -= set(change.deleted)
+        changed = set(change.changed) - self._dismissed
+        noticed = self._notice(planes, sorted(changed), evidence)
         for plane_id in noticed:
             self._relate(plane_id, planes)
         active |= set(noticed)
@@ -117,21 +120,39 @@ class Structure:
         flipped = self._relabel(active, label) if active else set()
         self._unsettled = flipped - set(noticed)
         for plane_id in sorted({*noticed, *flipped}):
-            self._put(planes.plane(plane_id), plane_id in change.changed, stamp_ns, changes)
-        for plane_id in set(change.changed) - set(noticed) - flipped:
+            self._put(planes.plane(plane_id), plane_id in changed, stamp_ns, changes)
+        for plane_id in changed - set(noticed) - flipped:
             node = self._node[plane_id]
             if stamp_ns - node.last_seen_ns >= self.refresh_ns:
                 self._node[plane_id] = node = node.replace(last_seen_ns=stamp_ns)
                 changes.put(node)
         return changes
 
+    def dismiss(self, node_id: str) -> list[int]:
+        """Give up the plane behind a node, for as long as it lasts; returns its id, if there is one."""
+        plane_id = next((i for i, node in self._node.items() if node.id == node_id), None)
+        if plane_id is None:
+            return []
+        self._forget(plane_id, None, GraphChanges())
+        self._dismissed.add(plane_id)
+        return [plane_id]
+
     # -- state --------------------------------------------------------------------------------------------
+    @property
+    def dismissed(self) -> list[int]:
+        """Ids of the planes that are given up, ascending."""
+        return sorted(self._dismissed)
+
     def document(self) -> list[list[Any]]:
         """[plane id, label, {class: share}] of all planes, as JSON values."""
         return [[i, self._label[i], dict(seen.facts.evidence)] for i, seen in sorted(self._seen.items())]
 
-    def restore(self, document: Iterable[Sequence[Any]], planes: PlaneMap, graph: SceneGraph) -> None:
-        """Take over what `document` gave; `planes` and `graph` have been restored before, shapes are measured anew."""
+    def restore(
+        self, document: Iterable[Sequence[Any]], planes: PlaneMap, graph: SceneGraph, dismissed: Iterable[int] = ()
+    ) -> None:
+        """Take over what `document` and `dismissed` gave; `planes` and `graph` have been restored before, shapes are
+        measured anew."""
+        self._dismissed = set(dismissed)
         known = {
             int(i): (str(label), evidence)
             for i, label, evidence in document

@@ -1,4 +1,4 @@
-"""Rooms that an operator draws, splits and merges: mapping on leaves their ground to them."""
+"""Rooms that an operator draws, splits, merges and deletes: mapping on leaves their ground as it was told."""
 
 from __future__ import annotations
 
@@ -129,6 +129,20 @@ def merge(rooms: Rooms, kept: str, lost: str, graph: SceneGraph, stamp_ns: int) 
     rooms.write(number, storey, np.argwhere(floor) + low, graph, stamp_ns, changes)
     changes.delete_node(lost, "an operator merged it with another room", became=kept)
     return changes, {kept, lost}
+
+
+def delete(rooms: Rooms, room: str, reason: str, graph: SceneGraph) -> tuple[GraphChanges, set[str]]:
+    """Take a room out: its ground is no room's from now on, until an operator draws one there."""
+    changes = GraphChanges()
+    changes.delete_node(room, reason)
+    if rooms.footprints.pop(room, None) is not None:
+        number = int(room.removeprefix("room_"))
+        rooms.outlined.discard(number)
+        for storey in rooms.storeys:
+            given_up = storey.ground.room == number
+            storey.ground.room[given_up] = 0
+            storey.ground.drawn |= given_up
+    return changes, {room}
 
 
 def _corners(form: str, points: Any, hint: str) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -104,7 +105,7 @@ def test_a_deleted_thing_is_gone_from_graph_and_answers(copy_home: Copy) -> None
     assert vase not in world.graph, "an id is given once"
 
 
-@pytest.mark.parametrize("layer", ["room", "structure", "agent", "building"])
+@pytest.mark.parametrize("layer", ["room", "structure", "agent"])
 def test_mapping_goes_on_after_any_node_was_deleted(copy_home: Copy, layer: str) -> None:
     world = copy_home()
     for node in world.graph.nodes(layer):
@@ -112,6 +113,47 @@ def test_mapping_goes_on_after_any_node_was_deleted(copy_home: Copy, layer: str)
     look_again(world, 100, step=3)
     world.integrate(small_home.robot_at(1.0, 1.0, stamp(200)))
     assert {n.label for n in world.graph.nodes("object")} == {"table", "vase", "book", "oven", "bed", "stool"}
+
+
+@pytest.mark.parametrize("layer", ["building", "storey", "place"])
+def test_what_follows_from_the_map_cannot_be_deleted(world: World, layer: str) -> None:
+    result = world.tell(f"delete({world.graph.nodes(layer)[0].id})", author="ann")  # type: ignore[arg-type]
+    assert result.problem is not None
+    assert layer in result.problem.message
+
+
+def test_a_deleted_room_leaves_no_ground_from_which_it_comes_back(copy_home: Copy, tmp_path: Path) -> None:
+    world = copy_home()
+    room, other = room_at(world, small_home.BEDROOM), room_at(world, small_home.KITCHEN)
+    tell(world, f"delete({room})")
+    assert not world.perception.rooms.shares(np.array([small_home.BEDROOM]), 0.0)
+    assert not world.graph.edges("adjacent")
+    world = map_on_and_restart(world, tmp_path / "home.world")
+    try:
+        assert [node.id for node in world.graph.nodes("room")] == [other]
+        assert world.ask("in(bed, X), room(X)").truth != "true"
+        assert {e.target for e in world.graph.edges("in") if e.target.startswith("room_")} == {other}
+        tell(world, "room('bedroom', [[3.3, 0.1], [6.3, 0.1], [6.3, 3.3], [3.3, 3.3]])")
+        assert world.ask("in(bed, X), room(X)").truth == "true"
+    finally:
+        world.close()
+
+
+def test_a_deleted_plane_and_a_deleted_passage_stay_away(copy_home: Copy, tmp_path: Path) -> None:
+    world = copy_home()
+    [passage] = [n.id for n in world.graph.nodes("structure") if n.id.startswith("passage_")]
+    ceiling = world.graph.nodes("structure", label="ceiling")[0].id
+    for node in (passage, ceiling):
+        tell(world, f"delete({node})")
+    assert not world.graph.edges("connects")
+    world = map_on_and_restart(world, tmp_path / "home.world")
+    try:
+        assert passage not in world.graph
+        assert ceiling not in world.graph
+        assert not world.graph.edges("connects")
+        assert len(world.graph.nodes("room")) == 2
+    finally:
+        world.close()
 
 
 def test_a_drawn_room_takes_its_things(copy_home: Copy) -> None:
