@@ -17,7 +17,7 @@ from mapping.esdf import EsdfMap
 from mapping.geometry import SE3
 from mapping.histograms import ClassHistogram, OrientedBox, class_histogram
 from mapping.instances import InstanceChange, InstanceMap
-from mapping.kernels.images import smooth_depth
+from mapping.kernels.images import noise_share, smooth_depth
 from mapping.labelled import LabelledCloud, PointLabels, labelled_cloud, labels_at
 from mapping.layer import Changed, MapLayer
 from mapping.moving import MovingChange, MovingThings
@@ -41,6 +41,8 @@ REGISTRATION_RANGE_M = 4.5
 """… where it measured less than this."""
 SWEEP_VIEWS = 4
 """A scan, which looks all around at once, is worth so many images."""
+NOISE_STEP = 6
+"""Every so many-th row and column of an image tells how noisy its depth is."""
 MOVER_STEP = 2
 """Every so many-th row and column is enough to tell where something that moves was."""
 MOVING_RIM_PX = 3
@@ -210,7 +212,8 @@ class LayeredMap:
         near = self._near(depth_m)
         seen = segment(image, near, things, self._bleed[f"{image.robot}/{image.sensor}"])
         depth_m = np.empty_like(near)
-        smooth_depth(near, *DEPTH_NOISE, depth_m)
+        share = noise_share(near, *DEPTH_NOISE, NOISE_STEP)
+        smooth_depth(near, *(share * DEPTH_NOISE), depth_m)
         weights = seen.weights(depth_m, self.semantics.voxel_size_m)
         camera = image.intrinsics
         covariance = image.covariance if self.spread_labels else None

@@ -18,6 +18,9 @@ Float: TypeAlias = Any
 
 MOST_SIGMA = 3.0
 """Pixels beside each other are of one surface when their mean is no more σ of the depth away."""
+MEDIAN_BEND = 1.652
+"""Median of |p + q − 2z| where p, q and z differ by normal noise of σ = 1: 0.6745 √6."""
+LEAST_BENDS = 100
 FOOTPRINT = 1.25
 """A pixel of depth covers its share of the other image and a quarter more, for surfaces that the other camera sees
 less aslant."""
@@ -159,6 +162,26 @@ def pick_pixels(seen: Array, nearest: Array, tolerance: Float, index: Array) -> 
             i = min(max(np.int64(np.floor(seen[v, u, 0] + np.float32(0.5))), 0), width - 1)
             j = min(max(np.int64(np.floor(seen[v, u, 1] + np.float32(0.5))), 0), height - 1)
             index[v, u] = j * width + i if z > 0.0 and z <= nearest[j, i] * (1.0 + tolerance) else -1
+
+
+@njit(cache=True)
+def noise_share(depth: Array, noise_base: Float, noise_growth: Float, step: Int) -> float:
+    """How noisy a depth image is, as a share of the σ of its sensor: the median second difference of rows, over what
+    noise of σ makes of it; 1 at most, and where there are too few pixels to tell.
+
+    depth (H, W) float32 [m], 0 = nothing; every `step`-th row and column is looked at. Noise as for `smooth_depth`.
+    """
+    height, width = depth.shape
+    bends = np.empty((height // step + 1) * (width // step + 1), np.float32)
+    n = 0
+    for v in range(step // 2, height, step):
+        for u in range(1 + step // 2, width - 1, step):
+            p, z, q = depth[v, u - 1], depth[v, u], depth[v, u + 1]
+            if p > 0.0 and z > 0.0 and q > 0.0:
+                sigma = noise_base + noise_growth * (z - 0.4) * (z - 0.4)
+                bends[n] = abs(p + q - np.float32(2.0) * z) / sigma
+                n += 1
+    return min(1.0, float(np.median(bends[:n])) / MEDIAN_BEND) if n >= LEAST_BENDS else 1.0
 
 
 @njit(cache=True, error_model="numpy")

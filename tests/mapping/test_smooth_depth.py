@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapping.kernels.images import MOST_SIGMA, smooth_depth
+from mapping.kernels.images import MOST_SIGMA, noise_share, smooth_depth
 
 BASE, GROWTH = 0.0012, 0.0019
 PAIRS = (((0, -1), (0, 1)), ((-1, 0), (1, 0)), ((-1, -1), (1, 1)), ((-1, 1), (1, -1)))
@@ -51,3 +51,28 @@ def test_noise_falls_to_a_third_and_a_slant_stays():
 def test_an_edge_stays_sharp():
     depth = np.where(np.arange(40) < 20, 1.0, 1.2).astype(np.float32) + np.zeros((30, 1), np.float32)
     assert np.allclose(smoothed(depth), depth, atol=1e-6)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0.0, 1.0), st.integers(0, 10**6))
+def test_how_noisy_an_image_is_shows_in_it_whatever_its_surfaces(share, seed):
+    rng = np.random.default_rng(seed)
+    true = 1.0 + rng.uniform(0.0, 0.01) * np.arange(320) + rng.uniform(0.0, 0.01) * np.arange(240)[:, None]
+    true[60:160, 80:200] -= 0.3
+    noise = share * (BASE + GROWTH * (true - 0.4) ** 2)
+    depth = (true + noise * rng.standard_normal(true.shape)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.1] = 0.0
+    assert abs(noise_share(depth, BASE, GROWTH, 4) - share) < 0.1
+
+
+def test_an_image_without_enough_pixels_is_as_noisy_as_its_sensor():
+    assert noise_share(np.zeros((60, 80), np.float32), BASE, GROWTH, 4) == 1.0
+
+
+def test_without_noise_a_small_step_in_depth_stays_sharp():
+    depth = np.where(np.arange(120) < 60, 3.0, 3.05).astype(np.float32) + np.zeros((90, 1), np.float32)
+    share = noise_share(depth, BASE, GROWTH, 6)
+    out = np.empty_like(depth)
+    smooth_depth(depth, share * BASE, share * GROWTH, out)
+    assert np.abs(out - depth).max() < 1e-6
+    assert np.abs(smoothed(depth) - depth).max() > 0.01
