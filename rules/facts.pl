@@ -267,7 +267,7 @@ forget_everything :-
 :- forall(member(Name, [longer_side, lowest, highest, footing_seen, rest_level]),
           keeper(Name, 3, _)).
 :- forall(member(Name, [ contact, lowest_above, footprint_overlap, rise, structure_between, same_storey,
-                         path_gap_upper, path_gap_lower, gap, footing_inside, voxels_inside, footprint_share,
+                         path_gap_upper, path_gap_lower, gap, drop, footing_inside, voxels_inside, footprint_share,
                          side_contact, top_contact, things_between, visible, possibly_visible, way_upper, way_lower,
                          clear_width ]),
           keeper(Name, 4, _)).

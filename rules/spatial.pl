@@ -264,7 +264,7 @@ judged(touching, A, B, Truth, Tests) :-
     contact_gap(Enough),
     at_most(Gap, Enough, Close),
     (   Close \== true,
-        footing_in_contact(A, B, Test)
+        ( footing_in_contact(A, B, Test) ; surface_below(A, B, Enough, Test) )
     ->  Truth = true,
         Tests = [Test]
     ;   Truth = Close,
@@ -330,6 +330,13 @@ footing_in_contact(A, B, test(contact, Share, >=, contact_share, Enough)) :-
     findall(S, ( ( measured(contact, A, B, S) ; measured(contact, B, A, S) ), number(S) ), [First|Shares]),
     max_list([First|Shares], Share),
     Share >= Enough.
+
+%   surface_below(+A, +B, +Gap, -Test): the surface of one goes on, unseen, close below the other.
+surface_below(A, B, Enough, test(drop, Drop, =<, contact_gap, Enough)) :-
+    ( measured(drop, A, B, Drop) ; measured(drop, B, A, Drop) ),
+    number(Drop),
+    Drop =< Enough,
+    !.
 
 %   beside(+Near, +NearTest, +A, +B, -Truth, -Tests): two things that are near, are they next to each other?
 beside(false, NearTest, _, _, Truth, [NearTest]) :- !, Truth = false.

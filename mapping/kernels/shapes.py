@@ -186,17 +186,21 @@ def within(points: Array, center: Array, radius: float) -> Array:
 
 @njit(cache=True)
 def highest_pair(a: Array, b: Array, reach: float) -> tuple[int, int]:
-    """Of the pairs of points of two sets (N, 3), (M, 3) within `reach` [m] that whose lower point is highest; else -1,
-    -1."""
+    """Of the points of a (N, 3), each with the nearest of b (M, 3), the pair within `reach` [m] whose lower point is
+    highest; else -1, -1."""
     best = -np.inf
     at_a = at_b = -1
     for i in range(len(a)):
+        if a[i, 2] <= best:
+            continue
+        least = reach * reach
+        nearest = -1
         for j in range(len(b)):
-            low = min(a[i, 2], b[j, 2])
-            if low > best:
-                d = (a[i, 0] - b[j, 0]) ** 2 + (a[i, 1] - b[j, 1]) ** 2 + (a[i, 2] - b[j, 2]) ** 2
-                if d <= reach * reach:
-                    best, at_a, at_b = low, i, j
+            d = (a[i, 0] - b[j, 0]) ** 2 + (a[i, 1] - b[j, 1]) ** 2 + (a[i, 2] - b[j, 2]) ** 2
+            if d <= least:
+                least, nearest = d, j
+        if nearest >= 0 and min(a[i, 2], b[nearest, 2]) > best:
+            best, at_a, at_b = min(a[i, 2], b[nearest, 2]), i, nearest
     return at_a, at_b
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from itertools import combinations
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -20,6 +21,8 @@ Array: TypeAlias = NDArray[Any]
 SOLID = frozenset({"wall", "floor", "ceiling"})
 INSET_M = 0.06
 """Segments between two surfaces begin and end this far from them: a picture's points straddle the wall it hangs on."""
+OPPOSITE = -0.9
+"""Cosine between the normals of two faces of a wall, at most."""
 WALL_STEP_M = 0.025
 """How finely it is told where a wall ends."""
 FLOOR_REACH_M = 1.5
@@ -131,19 +134,26 @@ class Building:
         a, b = p + inset * (q - p), q - inset * (q - p)
         if self._planes.blocks_segment(a, b, about)[0]:
             return "blocked"
-        if self._planes.count_crossings(p, q, about)[0] >= 2:
+        crossed = int(self._planes.count_crossings(p, q, about)[0])
+        if crossed >= 2:
             return "blocked"  # both faces of a wall that is little thicker than the two ends stand off it
+        faces: list[Array] = []
+        unseen = False
         for node in map(str, about):
             if node not in self._lines:
                 continue
             normal, offset, along, start, end = self._lines[node]
-            da, db = float(a[:2] @ normal - offset), float(b[:2] @ normal - offset)
-            if da * db >= 0.0:
+            dp, dq = float(p[:2] @ normal - offset), float(q[:2] @ normal - offset)
+            if dp * dq >= 0.0:
                 continue
-            at = a + da / (da - db) * (b - a)
+            share = dp / (dp - dq)
+            at = p + share * (q - p)
             if start <= at[:2] @ along <= end and not self._open(at, normal):
-                return "unseen"
-        return "clear"
+                unseen |= inset < share < 1.0 - inset
+                faces.append(normal)
+        if any(float(one @ other) < OPPOSITE for one, other in combinations(faces, 2)):
+            return "blocked" if crossed else "unseen"  # both faces of a wall, which things hide
+        return "unseen" if unseen else "clear"
 
     def _open(self, at: Array, normal: Array) -> bool:
         """Whether a wall was seen to be open at a point (3,)."""

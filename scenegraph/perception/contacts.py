@@ -14,9 +14,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.kernels import columns
 from mapping.kernels import shapes as kernels
 from scenegraph.graph import Box
-from scenegraph.perception.shapes import Shape
+from scenegraph.perception.shapes import HEADROOM_M, Shape
 
 Array: TypeAlias = NDArray[Any]
 Level: TypeAlias = tuple[str, float] | None
@@ -26,14 +27,26 @@ CONTACT_MARGIN_M = 0.03
 """Two surfaces this close, and a voxel more, may touch (`contact_margin` in the rules)."""
 SIDE_WINDOW_M = 0.35
 """How far around a thing the surface below it is looked at, to complete what the thing itself hides."""
-SETTLE_M = 0.25
+SETTLE_M = 0.3
 """How far a thing whose bottom was not seen is completed downwards."""
-HOVER_M = 0.15
-"""What hangs or is fixed to a side is this far from what is below it: nearer, it may stand on what was not seen."""
+FIRM_SHARE = 0.5
+"""What rests on something with this share of its footing does not go down any further, neither hangs nor is fixed to a
+side."""
+HOUSED_SHARE = 0.8
+"""What has so much of its footing in the box of another is in it (`footing_inside_share` in the rules)."""
+HOVER_M = 0.2
+"""What hangs or is fixed to a side is this far from what is below it: nearer, it stands on that, seen or not."""
 HIDDEN_SHARE = 0.7
 """The space under a thing hides its bottom when this share of it was not seen to be free."""
 FACE_SAMPLES = 7
 """Points along each edge of a side that look for what the side is fixed to."""
+MOST_COLUMNS = 200
+CLOSED_SIDES = 4
+MOST_INSIDE = 300
+MOST_MATERIAL = 8000
+"""Points of a thing, and of what it may be in, that are looked at to see whether it is inside."""
+BACK_M = 0.15
+"""How far a thing whose back was not seen is completed to the wall behind it."""
 WALL_END_M = 0.1
 """A wall goes on this far beyond what was seen of it."""
 
@@ -55,18 +68,22 @@ class Wall:
 
 @dataclass(frozen=True)
 class Resting:
-    """On what a thing rests, node id → share of its footing; the share of its footing that was seen; the height [m] at
-    which it rests, and how far the next surface below is [m]."""
+    """On what a thing rests.
+
+    shares        node id → share of its footing;  footing_seen  share of its footing that was seen
+    level         height [m] at which it rests
+    drops         node id → how far its surface is below that [m], where that is no farther than contact reaches
+    """
 
     shares: dict[str, float]
     footing_seen: float
     level: float
-    drop: float
+    drops: dict[str, float]
 
     @property
-    def hovers(self) -> bool:
-        """Whether nothing near below may carry it, seen or not."""
-        return self.drop > HOVER_M
+    def firmly(self) -> bool:
+        """Whether it goes down no further, and neither hangs nor is fixed to a side."""
+        return sum(self.shares.values()) >= FIRM_SHARE
 
 
 def tolerance(thing: Shape) -> float:
@@ -80,16 +97,47 @@ def resting(mine: Shape, others: Mapping[str, Shape], floor: Level, seen_free: C
     A thing of which the lowest part was not seen is completed straight down to what is below it, where the space
     between was not seen to be free.
     """
-    footing = mine.footing
-    surfaces = _surfaces_under(mine, others, footing, floor)
-    shares = _first_below(footing, surfaces, mine.lowest, tolerance(mine))
-    if shares or not surfaces or not _bottom_hidden(mine, surfaces[0][0], footing, seen_free):
-        drop = min(
-            (mine.lowest - top for top, _, _ in surfaces if top <= mine.lowest + tolerance(mine)), default=np.inf
-        )
-        return Resting(shares, 1.0, mine.lowest, drop)
-    level = surfaces[0][0]
-    return Resting(_first_below(footing, surfaces, level, tolerance(mine)), 0.0, level, 0.0)
+    surfaces = _surfaces_under(mine, others, mine.footing, floor)
+    rest = _resting_at(mine, mine.lowest, surfaces, 1.0)
+    below = [top for top, _, _ in surfaces if top < mine.lowest - tolerance(mine)]
+    if rest.firmly or not below or not _bottom_hidden(mine, below[0], mine.footing, seen_free):
+        return rest
+    return _resting_at(mine, below[0], surfaces, 0.0)
+
+
+def housed(mine: Shape, others: Mapping[str, Shape], seen_free: Callable[[Array], Array]) -> Resting | None:
+    """What a thing rests on that lies in the box of another, as on a shelf of which the board was not seen, where the
+    space under it was not seen to be free; None where that is nothing."""
+    start = np.column_stack([mine.footing, np.full(len(mine.footing), mine.lowest)])
+    for name, other in sorted(others.items(), key=lambda item: (item[1].box.size.prod(), item[0])):
+        if other.lowest < mine.lowest < other.highest - HEADROOM_M:
+            share = float(other.box.contains(start, 0.5 * other.voxel_size_m).mean())
+            if share >= HOUSED_SHARE and _bottom_hidden(mine, mine.lowest - tolerance(mine), mine.footing, seen_free):
+                return Resting({name: share}, 0.0, mine.lowest, {})
+    return None
+
+
+def settled(
+    mine: Shape, others: Mapping[str, Shape], floor: Level, seen_free: Callable[[Array], Array]
+) -> Resting | None:
+    """What a thing rests on that nothing else holds: completed straight down to what carries it firmly there, if only
+    some of the columns under it were not seen to be free, as where thin legs stand; None where that is nothing."""
+    surfaces = _surfaces_under(mine, others, mine.footing, floor, np.inf)
+    top = next((t for t, _, _ in surfaces if mine.lowest - SETTLE_M <= t <= mine.lowest + tolerance(mine)), None)
+    if top is None:
+        return None
+    columns = some(mine.ground_samples, MOST_COLUMNS)
+    if top < mine.lowest - tolerance(mine) and not _hidden(mine, top, columns, seen_free).all(axis=0).any():
+        return None
+    rest = _resting_at(mine, top, surfaces, 0.0)
+    return rest if rest.firmly else None
+
+
+def _resting_at(mine: Shape, level: float, surfaces: list[tuple[float, str, Array]], seen: float) -> Resting:
+    reach = tolerance(mine)
+    shares = _first_below(mine.footing, surfaces, level, reach)
+    drops = {owner: max(0.0, level - top) for top, owner, _ in reversed(surfaces) if abs(level - top) <= reach}
+    return Resting(shares, seen, level, drops)
 
 
 def hanging(mine: Shape, others: Mapping[str, Shape], ceiling: Level) -> dict[str, float]:
@@ -101,17 +149,31 @@ def hanging(mine: Shape, others: Mapping[str, Shape], ceiling: Level) -> dict[st
     return _first_below(head, _surfaces_under(turned, over, head, upon), turned.lowest, tolerance(mine))
 
 
-def fixed(mine: Shape, others: Mapping[str, Shape], walls: Iterable[Wall]) -> dict[str, float]:
-    """Share of the side that faces each thing and each wall, and that lies in contact with it."""
+def fixed(
+    mine: Shape, others: Mapping[str, Shape], walls: Iterable[Wall], seen_free: Callable[[Array], Array]
+) -> dict[str, float]:
+    """Share of the side that faces each thing and each wall, and that lies in contact with it.
+
+    The back of what stands before a wall was not seen: it is completed to the wall where the space between was not
+    seen to be free.
+    """
     reach = tolerance(mine)
     sides = _sides(mine.box, reach)
     found: dict[str, float] = {}
     for wall in walls:
-        off = np.abs(sides[:, :, :2] @ wall.normal - wall.offset)
+        if float(mine.box.center[:2] @ wall.normal) - wall.offset < -CONTACT_MARGIN_M:
+            continue  # the far face of the wall
+        off = sides[:, :, :2] @ wall.normal - wall.offset
         at = sides[:, :, :2] @ wall.along
         beside = (at >= wall.start - WALL_END_M) & (at <= wall.end + WALL_END_M)
         beside &= (sides[:, :, 2] >= wall.low - WALL_END_M) & (sides[:, :, 2] <= wall.high + WALL_END_M)
-        found[wall.node] = float(((off <= reach) & beside).mean(axis=1).max())
+        close = (np.abs(off) <= reach) & beside
+        behind = (off > reach) & (off <= BACK_M) & beside
+        if behind.any():
+            back = sides[behind].copy()
+            back[:, :2] -= 0.5 * off[behind][:, None] * wall.normal
+            close[behind] = ~seen_free(back)
+        found[wall.node] = float(close.mean(axis=1).max())
     low, high = mine.bounds
     for name, other in others.items():
         near = ((other.points >= low - reach) & (other.points <= high + reach)).all(axis=1)
@@ -156,23 +218,62 @@ def _first_below(
 
 
 def _surfaces_under(
-    mine: Shape, others: Mapping[str, Shape], footing: Array, floor: Level
+    mine: Shape, others: Mapping[str, Shape], footing: Array, floor: Level, window_m: float = SIDE_WINDOW_M
 ) -> list[tuple[float, str, Array]]:
-    """The surfaces that may carry columns of the footing, highest first: height, whose, and which columns it covers."""
+    """The surfaces that may carry columns of the footing, highest first: height, whose, and which columns it covers.
+
+    window_m : how far around the thing they are looked at
+    """
     surfaces = [] if floor is None else [(floor[1], floor[0], np.ones(len(footing), bool))]
     for name, other in others.items():
-        surfaces += [(top, name, inside) for top, inside in _levels_under(mine, other, footing)]
+        surfaces += [(top, name, inside) for top, inside in _levels_under(mine, other, footing, window_m)]
+        if 0.0 < mine.lowest - other.lowest <= SETTLE_M:
+            bottom = _closed_in(mine, other, footing)
+            surfaces += [(other.lowest, name, bottom)] if bottom.any() else []
     return sorted(surfaces, key=lambda s: (-s[0], s[1]))
 
 
-def _levels_under(mine: Shape, other: Shape, footing: Array) -> list[tuple[float, Array]]:
+def _closed_in(mine: Shape, other: Shape, footing: Array) -> Array:
+    """(F,) bool: the columns of the footing that the sides of `other` close in: its bottom is below, seen or not."""
+    start = np.column_stack([footing, np.full(len(footing), mine.lowest + lift(mine, other))])
+    if mine.lowest > other.highest:
+        return np.zeros(len(footing), bool)
+    inside = other.box.contains(start, 0.5 * other.voxel_size_m)
+    if inside.any():
+        inside[inside] = enclosed(start[inside], other)
+    return np.asarray(inside)
+
+
+def lift(mine: Shape, other: Shape) -> float:
+    """How far above its bottom a thing is looked at where sides of another rise beside it; its top surface does not."""
+    return min(1.5 * other.voxel_size_m, 0.5 * (mine.highest - mine.lowest))
+
+
+def enclosed(points: Array, b: Shape) -> Array:
+    """(N,) bool: points that b's material closes in at least 4 of the directions ±x, ±y, −z of b's box."""
+    box = b.box
+    chosen = np.linspace(0, len(points) - 1, min(len(points), MOST_INSIDE)).astype(np.int64)
+    local = (points[chosen] - box.center) @ box.rotation
+    material = (some(b.points, MOST_MATERIAL) - box.center) @ box.rotation
+    beside = 0.75 * b.voxel_size_m * max(1.0, (len(b.points) / MOST_MATERIAL) ** 0.5)
+    closed = columns.closed_sides(local, material, beside) >= CLOSED_SIDES
+    nearest = np.searchsorted(chosen, np.arange(len(points))).clip(max=len(chosen) - 1)
+    return np.asarray(closed[nearest])
+
+
+def some(points: Array, most: int) -> Array:
+    """At most `most` of the points, evenly chosen."""
+    return points if len(points) <= most else points[np.linspace(0, len(points) - 1, most).astype(np.int64)]
+
+
+def _levels_under(mine: Shape, other: Shape, footing: Array, window_m: float) -> list[tuple[float, Array]]:
     """The upward surfaces of `other` at most SETTLE_M below the bottom of `mine`: height, and which columns they
     cover."""
     reach = tolerance(mine)
     up = other.facing_up
     near = (up[:, 2] <= mine.lowest + reach) & (up[:, 2] >= mine.lowest - SETTLE_M)
     low, high = mine.bounds
-    near &= ((up[:, :2] >= low[:2] - SIDE_WINDOW_M) & (up[:, :2] <= high[:2] + SIDE_WINDOW_M)).all(axis=1)
+    near &= ((up[:, :2] >= low[:2] - window_m) & (up[:, :2] <= high[:2] + window_m)).all(axis=1)
     up = up[near]
     found: list[tuple[float, Array]] = []
     while len(up) >= 3:
@@ -187,11 +288,15 @@ def _levels_under(mine: Shape, other: Shape, footing: Array) -> list[tuple[float
 
 
 def _bottom_hidden(mine: Shape, top: float, footing: Array, seen_free: Callable[[Array], Array]) -> bool:
-    drop = mine.lowest - top
-    if not 0.0 < drop <= SETTLE_M:
+    if not 0.0 < mine.lowest - top <= SETTLE_M:
         return False
+    hidden = _hidden(mine, top, footing, seen_free)
+    return not hidden.size or float(hidden.mean()) >= HIDDEN_SHARE
+
+
+def _hidden(mine: Shape, top: float, columns: Array, seen_free: Callable[[Array], Array]) -> Array:
+    """(H, C) bool: where in columns (C, 2) from the bottom of `mine` down to `top` [m] space was not seen to be
+    free."""
     heights = np.arange(top + mine.voxel_size_m, mine.lowest, mine.voxel_size_m)
-    if not len(heights):
-        return True
-    columns = np.concatenate([np.column_stack([footing, np.full(len(footing), z)]) for z in heights])
-    return float(np.mean(~seen_free(columns))) >= HIDDEN_SHARE
+    at = np.concatenate([np.tile(columns, (len(heights), 1)), np.repeat(heights, len(columns))[:, None]], axis=1)
+    return ~seen_free(at).reshape(len(heights), len(columns)) if len(heights) else np.empty((0, len(columns)), bool)

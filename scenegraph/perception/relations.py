@@ -14,9 +14,24 @@ from typing import Any, Literal, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.kernels import columns
 from mapping.kernels import shapes as kernels
-from scenegraph.perception.contacts import CONTACT_MARGIN_M, Wall, fixed, hanging, resting, tolerance
+from scenegraph.perception.contacts import (
+    BACK_M,
+    CONTACT_MARGIN_M,
+    FIRM_SHARE,
+    HOVER_M,
+    MOST_INSIDE,
+    Wall,
+    enclosed,
+    fixed,
+    hanging,
+    housed,
+    lift,
+    resting,
+    settled,
+    some,
+    tolerance,
+)
 from scenegraph.perception.lines import Lines
 from scenegraph.perception.neighbours import GroundIndex
 from scenegraph.perception.shapes import Shape
@@ -26,16 +41,13 @@ Pair: TypeAlias = tuple[str, str]
 
 FAR_M = 1.5
 """Beyond this distance nothing is near anything (`near_most` in the rules)."""
-FIRM_FOOTING = 0.5
-"""What rests on something with this share of its footing neither hangs nor is fixed to a side."""
-CONTACTS = ("contact", "top_contact", "side_contact")
-SAMPLED_VOXELS = 0.7
-"""The nearest points of two surfaces that touch lie this far apart along them, in voxels: half a face's diagonal."""
+HOLDING_SHARE = 0.2
+"""What has no more of its top or of a side in contact does not hang there: it stands on what is below it."""
+CONTACTS = ("contact", "drop", "top_contact", "side_contact")
+SAMPLED_VOXELS = 1.0
+"""The nearest points of two surfaces, one a voxel each, lie this far apart along them, in voxels, in the median."""
 NO_PATH_M = 1.0e9
 MOST_COLUMNS = 40
-MOST_INSIDE = 300
-MOST_MATERIAL = 8000
-"""Points of a thing, and of what it may be in, that are looked at to see whether it is inside."""
 
 
 Passage: TypeAlias = Literal["clear", "blocked", "unseen"]
@@ -156,7 +168,7 @@ class Relations:
         if _ground_gap(mine.bounds, theirs.bounds) > tolerance(mine):
             return False
         firm = any(
-            key[0] == "contact" and key[1] == other and self._facts[key] >= FIRM_FOOTING for key in self._keys_of[other]
+            key[0] == "contact" and key[1] == other and self._facts[key] >= FIRM_SHARE for key in self._keys_of[other]
         )
         return not firm or theirs.lowest >= mine.lowest - 0.1
 
@@ -267,7 +279,7 @@ class Relations:
                 fresh["path_gap_upper", a, b] = min(upper, NO_PATH_M)
                 fresh["path_gap_lower", a, b] = min(lower, NO_PATH_M)
                 if upper <= near:
-                    self._lines.put((a, b), *shape_a.line_to(shape_b, reach))
+                    self._lines.put((a, b), *shape_a.line_to(shape_b, reach, p, q))
         smaller = min(shape_a.area, shape_b.area)
         overlap = kernels.overlap_area(shape_a.hull, shape_b.hull) / smaller if smaller > 0 else 0.0
         if overlap > 0.0:
@@ -308,15 +320,23 @@ class Relations:
         reach = tolerance(mine)
         beside = {other: shapes[other] for other in self._index.within(mine.bounds, reach) if other != thing}
         under = {o: s for o, s in beside.items() if _ground_gap(s.bounds, mine.bounds) <= 0.0}
-        rest = resting(mine, under, around.floor_below(x, y, mine.lowest), around.seen_free)
-        found: dict[tuple[str, ...], float] = {("contact", thing, o): share for o, share in rest.shares.items()}
+        floor = around.floor_below(x, y, mine.lowest)
+        rest = resting(mine, under, floor, around.seen_free)
+        found: dict[tuple[str, ...], float] = {}
+        if not rest.firmly:
+            below = housed(mine, under, around.seen_free) or settled(mine, under, floor, around.seen_free)
+            if below is None or mine.lowest - below.level > HOVER_M:
+                ceiling = around.ceiling_above(x, y, mine.highest)
+                walls = around.walls_beside(low - BACK_M, high + BACK_M)
+                held = [("top_contact", hanging(mine, under, ceiling))]
+                held.append(("side_contact", fixed(mine, beside, walls, around.seen_free)))
+                found.update({(name, thing, o): share for name, shares in held for o, share in shares.items()})
+            if below is not None and max(found.values(), default=0.0) < HOLDING_SHARE:
+                rest = below
+        found.update({("drop", thing, o): drop for o, drop in rest.drops.items() if o in shapes})
+        found.update({("contact", thing, o): share for o, share in rest.shares.items()})
         found["footing_seen", thing] = rest.footing_seen
         found["rest_level", thing] = rest.level
-        if rest.hovers and max(rest.shares.values(), default=0.0) < FIRM_FOOTING:
-            ceiling = around.ceiling_above(x, y, mine.highest)
-            found.update({("top_contact", thing, o): share for o, share in hanging(mine, under, ceiling).items()})
-            walls = around.walls_beside(low - reach, high + reach)
-            found.update({("side_contact", thing, o): share for o, share in fixed(mine, beside, walls).items()})
         return found
 
 
@@ -326,7 +346,7 @@ def _rise(over: Shape, under: Shape, seen_free: Callable[[Array], Array]) -> tup
     Of many columns only the top was seen: they go down to where space was seen to be free, or to the lowest point.
     """
     inside = kernels.points_inside(under.hull, over.bottoms[:, :2].astype(np.float64), 0.0)
-    bottoms = _some(over.bottoms[inside] if inside.any() else over.bottoms, MOST_COLUMNS).astype(np.float64)
+    bottoms = some(over.bottoms[inside] if inside.any() else over.bottoms, MOST_COLUMNS).astype(np.float64)
     common = kernels.points_inside(over.hull, under.tops[:, :2].astype(np.float64), 0.0)
     tops = under.tops[common] if common.any() else under.tops
     top, middle = float(np.median(tops[:, 2])), bottoms[:, :2].mean(axis=0)
@@ -352,37 +372,17 @@ def _inside(a: Shape, b: Shape, whole_box: bool) -> tuple[float, float]:
 
     The footing is looked at a little above the bottom, where sides of b rise beside it; its top surface does not.
     """
-    lift = min(1.5 * b.voxel_size_m, 0.5 * (a.highest - a.lowest))
-    footing = np.column_stack([a.footing, np.full(len(a.footing), a.lowest + lift)])
+    footing = np.column_stack([a.footing, np.full(len(a.footing), a.lowest + lift(a, b))])
     in_box = b.box.contains(footing, 0.5 * b.voxel_size_m)
     if not in_box.any():
         return 0.0, 0.0
-    points = _some(a.points, MOST_INSIDE).astype(np.float64)
+    points = some(a.points, MOST_INSIDE).astype(np.float64)
     voxels = b.box.contains(points, 0.5 * b.voxel_size_m)
     if not whole_box:
-        in_box[in_box] = _enclosed(footing[in_box], b)
+        in_box[in_box] = enclosed(footing[in_box], b)
         if in_box.any():
-            voxels[voxels] = _enclosed(points[voxels], b)
+            voxels[voxels] = enclosed(points[voxels], b)
     return float(in_box.mean()), float(voxels.mean())
-
-
-def _enclosed(points: Array, b: Shape) -> Array:
-    """(N,) bool: points that b's material closes in at least 4 of the directions ±x, ±y, −z of b's box."""
-    box = b.box
-    chosen = np.linspace(0, len(points) - 1, min(len(points), MOST_INSIDE)).astype(np.int64)
-    local = (points[chosen] - box.center) @ box.rotation
-    material = (_some(b.points, MOST_MATERIAL) - box.center) @ box.rotation
-    closed = (
-        columns.closed_sides(local, material, 0.75 * b.voxel_size_m * max(1.0, (len(b.points) / MOST_MATERIAL) ** 0.5))
-        >= 4
-    )
-    nearest = np.searchsorted(chosen, np.arange(len(points))).clip(max=len(chosen) - 1)
-    return np.asarray(closed[nearest])
-
-
-def _some(points: Array, most: int) -> Array:
-    """At most `most` of the points, evenly chosen."""
-    return points if len(points) <= most else points[np.linspace(0, len(points) - 1, most).astype(np.int64)]
 
 
 def _ground_gap(a: tuple[Array, Array], b: tuple[Array, Array]) -> float:

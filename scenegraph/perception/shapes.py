@@ -40,6 +40,8 @@ SIDE_NEAR_M = 0.02
 """Points that look for the direction of a box, and how close to its side is close enough: the noise of its surface."""
 FOOTING_HEIGHT_M = 0.03
 """Columns whose lowest material lies within this of the lowest point carry the thing (`contact_gap` in the rules)."""
+AS_NEAR_M = 0.02
+"""Pairs of points that are no farther apart than this beyond the nearest are as near."""
 CLOSE_M = 0.15
 """Nearer than this it matters to the centimetre how far two things are apart."""
 MOST_COMPARED = 400_000
@@ -203,15 +205,18 @@ class Shape:
         k = int(distance.argmin())
         return float(distance[k]), mine[k], theirs[at[k]]
 
-    def line_to(self, other: Shape, reach: float) -> tuple[Array, Array]:
-        """The ends (3,), (3,) of a line between nearest points: of all that are within `reach`, give or take a coarse
-        cell, the highest, since sides of things are upright and what stands between them need not reach down to their
-        feet."""
-        i, j = shapes.highest_pair(self.coarse, other.coarse, reach + COARSE_CELL_M)
-        if i < 0:
-            _, p, q = self.distance_m(other)
+    def line_to(self, other: Shape, reach: float, p: Array, q: Array) -> tuple[Array, Array]:
+        """The ends (3,), (3,) of a line between nearest points, of which p and q are a pair, `reach` apart.
+
+        Where others are as near, the highest: sides of things are upright, and what stands between them need not reach
+        down to their feet.
+        """
+        swapped = len(other.coarse) < len(self.coarse)
+        one, two = (other, self) if swapped else (self, other)
+        i, j = shapes.highest_pair(one.coarse, two.coarse, reach + AS_NEAR_M)
+        if i < 0 or min(one.coarse[i, 2], two.coarse[j, 2]) <= min(p[2], q[2]) + AS_NEAR_M:
             return p, q
-        return self.coarse[i], other.coarse[j]
+        return (two.coarse[j], one.coarse[i]) if swapped else (one.coarse[i], two.coarse[j])
 
 
 def _beside(points: NDArray[np.float32], bounds: tuple[Array, Array], reach: float) -> NDArray[np.float32]:

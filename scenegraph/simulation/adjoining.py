@@ -23,7 +23,7 @@ HEAD_M = 0.05
 _CONTACT_M = 0.03
 _CONTACT_SHARE = 0.2
 _SAMPLES = 9  # along each edge of a side
-_SPACING_M = 0.06  # a little more than what parts neighbouring samples of large things
+_TIE_M = 0.01
 _END = 1e-3  # share of a line at either end that is its ends' own
 
 
@@ -55,12 +55,14 @@ def next_to(
 
 
 def _nearest(a: Body, b: Body) -> tuple[Array, Array]:
-    """Samples (3,) of two things that lie nearest to each other; the highest of all that are as near."""
-    few, many = (a, b) if len(a.samples) <= len(b.samples) else (b, a)
-    distance, at = many.tree.query(few.samples)
-    low = np.minimum(few.samples[:, 2], many.samples[at, 2])
-    k = int(np.where(distance <= distance.min() + _SPACING_M, low, -np.inf).argmax())
-    return few.samples[k], many.samples[at[k]]
+    """Points (3,) of two things that lie nearest to each other, to within _TIE_M; of all that do, the highest."""
+    _, on_b = b.scene.closest(a.samples)
+    _, on_a = a.scene.closest(b.samples)
+    p, q = np.concatenate([a.samples, on_a]), np.concatenate([on_b, b.samples])
+    distance = np.linalg.norm(p - q, axis=1)
+    low = np.minimum(p[:, 2], q[:, 2])
+    k = int(np.where(distance <= distance.min() + _TIE_M, low, -np.inf).argmax())
+    return p[k], q[k]
 
 
 def _crosses(other: Body, p: Array, q: Array) -> bool:

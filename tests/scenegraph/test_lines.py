@@ -29,11 +29,13 @@ def test_kernels_agree_with_their_naive_twins(seed: int) -> None:
         beside, clear = rng.uniform(0, 0.1), rng.uniform(0, 0.3)
         assert near_segment(a, p, q, beside, clear) == naive_near_segment(a, p, q, beside, clear)
     reach = rng.uniform(0.02, 0.4)
-    near = np.argwhere(np.linalg.norm(a[:, None] - b, axis=2) <= reach)
+    apart = np.linalg.norm(a[:, None] - b, axis=2)
+    near = [(k, int(apart[k].argmin())) for k in range(len(a)) if apart[k].min() <= reach]
     i, j = highest_pair(a, b, reach)
-    if not len(near):
+    if not near:
         assert (i, j) == (-1, -1)
     else:
+        assert (i, j) in near
         assert min(a[i, 2], b[j, 2]) == max(min(a[k, 2], b[m, 2]) for k, m in near)
 
 

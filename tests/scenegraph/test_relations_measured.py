@@ -361,6 +361,63 @@ def test_a_thing_of_which_only_the_upper_part_was_seen_is_completed_down_to_what
     assert ("bottle_1", "counter_1") not in pairs(hovering, "on"), "the space below was seen to be free"
 
 
+class Hidden(Plan):
+    """Space is seen to be free but for the columns within 3 cm of a place (2,)."""
+
+    place = np.zeros(2)
+
+    def seen_free(self, points: np.ndarray) -> np.ndarray:
+        return np.asarray(np.abs(points[:, :2] - self.place).max(axis=1) > 0.03)
+
+
+def test_what_nothing_holds_stands_on_what_is_below_where_a_leg_may_stand_unseen(rules: KnowledgeBase) -> None:
+    """A table of which only the plate was seen, 20 cm over what else was seen."""
+    things = {"table_1": thing(((0.0, 0.0, 0.22), (1.0, 0.6, 0.04)))}
+    assert ("table_1", "plane_1") in pairs(derived(rules, things, Hidden()), "on")
+    things["lamp_1"] = thing(box((0.1, 0.1, 0.3)), at=(0.4, 0.2, 0.4))
+    assert ("lamp_1", "table_1") not in pairs(derived(rules, things, Hidden()), "on"), "nothing is hidden under it"
+
+
+def test_a_book_on_a_board_that_was_not_seen_stands_on_the_shelf(rules: KnowledgeBase) -> None:
+    sides = [((x, 0.0, 0.8), (0.02, 0.32, 1.6)) for x in (-0.44, 0.44)]
+    boards = [((0.0, 0.0, z), (0.88, 0.32, 0.02)) for z in (0.05, 0.4, 1.59)]
+    things = {
+        "shelf_1": thing(*sides, *boards),
+        "book_1": thing(box((0.05, 0.2, 0.25)), at=(0.0, 0.0, 0.9)),
+    }
+    edges = derived(rules, things, Plan(seen_free_everywhere=False))
+    assert ("book_1", "shelf_1") in pairs(edges, "on")
+    assert ("book_1", "shelf_1") not in pairs(derived(rules, things, ROOM), "on"), "seen free below: no board is there"
+
+
+def test_what_lies_in_a_basket_rests_on_its_bottom_although_that_was_not_seen(rules: KnowledgeBase) -> None:
+    basket = placed(surface(box((0.5, 0.4, 0.25)), faces=("x", "y")), (0.0, 0.0, 0.0))
+    things = {"basket_1": basket, "ball_1": thing(box((0.12, 0.12, 0.12)), at=(0.0, 0.0, 0.03))}
+    assert pairs(derived(rules, things, ROOM), "on") >= {("ball_1", "basket_1")}
+
+
+def test_a_surface_goes_on_under_what_hides_it(rules: KnowledgeBase) -> None:
+    """An apple in a bowl with a thin bottom nearly touches the table, of which the part under the bowl was not seen."""
+    top = surface(TABLE[0])
+    table = placed(top[np.abs(top[:, :2]).max(axis=1) > 0.15], (0.0, 0.0, 0.0))
+    bowl = placed(surface(((0.0, 0.0, 0.005), (0.28, 0.28, 0.01)), faces=("top",)), (0.0, 0.0, 0.75))
+    things = {"table_1": table, "bowl_1": bowl, "apple_1": thing(box((0.07, 0.07, 0.07)), at=(0.0, 0.0, 0.765))}
+    edges = derived(rules, things, ROOM)
+    assert ("apple_1", "table_1") in pairs(edges, "touching")
+    assert ("apple_1", "table_1") not in pairs(edges, "on")
+    things["apple_1"] = thing(box((0.07, 0.07, 0.07)), at=(0.0, 0.0, 0.85))
+    assert ("apple_1", "table_1") not in pairs(derived(rules, things, ROOM), "touching")
+
+
+def test_the_back_of_a_cabinet_goes_on_to_its_wall_and_not_to_the_far_face(rules: KnowledgeBase) -> None:
+    cabinet = {"cabinet_1": thing(box((0.8, 0.3, 0.6)), at=(0.0, 0.25, 1.4))}  # its back is 10 cm from the wall
+    near, far = (-3.0, 0.0, 3.0, 0.0), (3.0, 0.16, -3.0, 0.16)
+    unseen = Plan(walls=[near], seen_free_everywhere=False)
+    assert pairs(derived(rules, cabinet, unseen), "attached_to") == {("cabinet_1", "wall_0")}
+    assert not pairs(derived(rules, cabinet, Plan(walls=[near])), "attached_to"), "the space behind it was seen"
+    assert not pairs(derived(rules, cabinet, Plan(walls=[far])), "attached_to"), "it lies behind this face"
+
+
 def test_a_table_stands_on_the_rug_that_carries_two_of_its_legs(rules: KnowledgeBase) -> None:
     rug = thing(box((2.0, 1.4, 0.01)), at=(0.9, 0.0, 0.0))
     edges = derived(rules, {"table_1": thing(*TABLE), "rug_1": rug}, ROOM)
@@ -459,17 +516,23 @@ def test_the_box_of_a_turned_thing_is_turned() -> None:
 # -- the building ------------------------------------------------------------------------------------------------------
 
 
-def sampled_wall(door: tuple[float, float] | None) -> PlaneMap:
-    """A wall at x = 0 that faces −x, 4 m long and 2.4 m high, with a doorway from y to y."""
+def sampled_wall(door: tuple[float, float] | None, hole: tuple[float, float] | None = None) -> PlaneMap:
+    """A wall at x = 0 that faces −x, 4 m long and 2.4 m high, with a doorway from y to y; with a hole, its other face
+    too, at x = 0.12, and neither seen where the hole is."""
     size = 0.05
     y, z = np.meshgrid(np.arange(-2.0, 2.0, size), np.arange(0.0, 2.4, size))
     points = np.stack([np.full(y.size, -0.001), y.ravel() + 0.5 * size, z.ravel() + 0.5 * size], axis=1)
     if door is not None:
         points = points[~((points[:, 1] > door[0]) & (points[:, 1] < door[1]) & (points[:, 2] < 2.0))]
+    normals = np.tile([-1.0, 0.0, 0.0], (len(points), 1))
+    if hole is not None:
+        points = points[~((points[:, 1] > hole[0]) & (points[:, 1] < hole[1]) & (points[:, 2] < 1.0))]
+        points = np.concatenate([points, points + np.array([0.122, 0.0, 0.0])])
+        normals = np.where(points[:, :1] < 0.0, [-1.0, 0.0, 0.0], [1.0, 0.0, 0.0])
     planes = PlaneMap(size)
     blocks, of = np.unique(np.floor(points / (8 * size)).astype(np.int32), axis=0, return_inverse=True)
     order = np.argsort(of.ravel(), kind="stable")
-    planes.replace(blocks, points[order], np.tile([-1.0, 0.0, 0.0], (len(points), 1)), of.ravel()[order])
+    planes.replace(blocks, points[order], normals[order], of.ravel()[order])
     return planes
 
 
@@ -492,6 +555,16 @@ def test_a_wall_stands_between_its_two_sides_and_its_doorway_does_not() -> None:
     assert building.between(np.array([-0.4, 0.0, 0.5]), np.array([0.4, 0.0, 0.5])) == "clear"
     assert building.between(np.array([-0.4, -1.5, 0.5]), np.array([-0.4, 1.5, 0.5])) == "clear"
     assert building.between(np.array([-0.4, 0.0, 2.2]), np.array([0.4, 0.0, 2.2])) == "blocked", "over the lintel"
+
+
+def test_two_faces_of_a_wall_that_things_hide_stand_between_them() -> None:
+    planes = sampled_wall(None, hole=(-0.5, 0.5))
+    building = Building(planes, OccupancyMap(voxel_size_m=0.05, max_range_m=10.0))
+    building.update([("wall", planes.plane(i)) for i in planes], ())
+    beside = [np.array([-0.03, y, 0.5]) for y in (0.0, 1.5)], [np.array([0.15, y, 0.5]) for y in (0.0, 1.5)]
+    assert building.between(beside[0][0], beside[1][0]) == "unseen"
+    assert building.between(beside[0][1], beside[1][1]) == "blocked"
+    assert building.between(np.array([-0.4, 0.0, 0.5]), np.array([0.03, 0.0, 0.5])) == "clear", "what hangs straddles"
 
 
 def test_the_way_around_a_wall_leads_through_its_doorway() -> None:

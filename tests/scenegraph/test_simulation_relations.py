@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from scenegraph.simulation import TrueObject, simulate_home
+from scenegraph.simulation.adjoining import _nearest
 from scenegraph.simulation.floorplan import WALL_M
 from scenegraph.simulation.relations import _body, _inside, _rise, near_distance, surface_gap
 from scenegraph.simulation.shapes import Shape
@@ -130,6 +131,17 @@ def test_a_gap_between_blocks_is_what_it_is_by_hand():
     assert surface_gap(a, put(block(0.2, 0.2, 0.2), 0.0, 0.0, 0.7), 0.3) == pytest.approx(0.3, abs=1e-4)
     turned = put(block(0.2, 0.2, 0.2), 0.8, 0.0, 0.1, yaw=np.pi / 4)
     assert surface_gap(a, turned, 0.46) == pytest.approx(0.6 - 0.1 * np.sqrt(2), abs=1e-4)
+
+
+def test_the_line_between_two_things_joins_their_nearest_points_the_highest_of_them():
+    rng = np.random.default_rng(3)
+    for _ in range(10):
+        a = put(block(*rng.uniform(0.1, 0.8, 3)), 0.0, 0.0, 0.0)
+        b = put(block(*rng.uniform(0.1, 0.8, 3)), *rng.uniform(0.9, 1.5, 2), rng.uniform(0.0, 0.5), rng.uniform(0, 3))
+        p, q = _nearest(a, b)
+        assert np.linalg.norm(p - q) <= surface_gap(a, b, 3.0) + 0.0101
+        assert a.scene.distance(p[None])[0] + b.scene.distance(q[None])[0] < 1e-4
+        assert min(p[2], q[2]) >= min(a.upper[2], b.upper[2]) - 0.03, "upright sides are as near all the way up"
 
 
 def test_near_distance_is_half_the_sum_of_the_longer_sides_within_bounds():
