@@ -438,7 +438,10 @@ def join(
     same_map: Annotated[bool, typer.Option("--same-map", help="Both are in one map frame: look for none.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Make two graphs of one place one. Where theirs lies in ours is found from the things in both."""
+    """Make two graphs of one place one. Where theirs lies in ours is found from the things in both.
+
+    What comes out is a graph without a map: to be asked, viewed and exported. Mapping goes on in either world; a newer
+    state of theirs is joined again, and changes only what is new."""
     from mapping.geometry import SE3
     from scenegraph.importing import graph_in
     from scenegraph.interop import export_graph

@@ -220,7 +220,11 @@ def _check_header(path: Path) -> None:
     except OSError as error:
         raise StoreError(f"{path}: cannot be opened: {error.strerror}") from None
     if header[:16] != b"SQLite format 3\0" or header[68:72] != _APPLICATION_ID.to_bytes(4, "big"):
-        raise StoreForeign(f"{path}: not a stored world", hint="a world is stored by `save` or `serve --store`")
+        raise StoreForeign(
+            f"{path}: not a stored world",
+            hint="a world is stored by `save` or `serve --store`; a graph in a file (exported, joined) has no map to "
+            "go on with: it can be asked (`ask --map`), joined again and exported",
+        )
 
 
 def _check_version(path: Path, database: sqlite3.Connection) -> None:

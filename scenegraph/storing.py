@@ -41,7 +41,11 @@ def load(kind: type[W], path: Path) -> W:
     """Read a world; its reasoner is told all facts anew."""
     parts = load_world(path)
     if not parts.layers:
-        raise StoreForeign(f"{path}: a graph without a map", hint="read it with scenegraph.store.load_graph")
+        raise StoreForeign(
+            f"{path}: a graph without a map",
+            hint="mapping goes on only in a world; the graph can be asked (`ask --map`) and read with "
+            "scenegraph.store.load_graph",
+        )
     world = kind(WorldConfig(**parts.config))
     try:
         documents = parts.documents

@@ -3,8 +3,9 @@
 Truth is what the generator placed, from exact meshes. Nothing here knows of the maps and graphs that are judged by it.
 """
 
+from scenegraph.simulation.assembling import simulate_home
 from scenegraph.simulation.changing import change_home
-from scenegraph.simulation.home import Change, Home, TrueDoor, TrueObject, TrueRoom, TrueWindow, simulate_home
+from scenegraph.simulation.home import Change, Home, TrueDoor, TrueObject, TrueRoom, TrueWindow
 from scenegraph.simulation.noise import NoiseModel
 from scenegraph.simulation.rendering import CAMERA, Lidar, Rendered, Renderer
 from scenegraph.simulation.structure import TruePlane

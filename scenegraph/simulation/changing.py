@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -11,7 +12,8 @@ from numpy.random import Generator
 from mapping.errors import InvalidParameter
 from scenegraph.simulation import things
 from scenegraph.simulation.arrangement import Arrangement, Maker, Placed
-from scenegraph.simulation.home import CONTAINER_CLASSES, Change, Home, assemble
+from scenegraph.simulation.assembling import CONTAINER_CLASSES, assemble, simulate_home
+from scenegraph.simulation.home import Change, Home
 
 FIXED_CLASSES = frozenset({
     "bathtub", "bed", "bench", "cabinet", "coffee_table", "counter", "desk", "dresser", "fridge", "mirror",
@@ -126,3 +128,13 @@ def _places(make: Maker, on_floor: bool, rooms: dict[str, Arrangement], rng: Gen
         found = rooms[name].upon(make, bearer, margin=0.04)
         if found is not None:
             yield found
+
+
+def _recipe(home: Home) -> tuple[object, ...]:
+    """A home as the call that makes it."""
+    if home.change is None:
+        return simulate_home, (home.seed, home.yaw)
+    return change_home, (home.change.before, home.change.seed)
+
+
+copyreg.pickle(Home, _recipe)  # type: ignore[arg-type]  # typeshed wants tuples of two known shapes
