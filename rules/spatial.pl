@@ -327,8 +327,14 @@ judged(blocks, A, Door, Truth, [test(clear_width, Width, <, robot_width, Needed)
 %   footing_in_contact(+A, +B, -Test): one rests on the other, where the surfaces between were not seen.
 footing_in_contact(A, B, test(contact, Share, >=, contact_share, Enough)) :-
     contact_share(Enough),
-    findall(S, ( ( measured(contact, A, B, S) ; measured(contact, B, A, S) ), number(S) ), [First|Shares]),
-    max_list([First|Shares], Share),
+    (   firm_contact(A, B, Enough, Share)
+    ->  true
+    ;   firm_contact(B, A, Enough, Share)
+    ).
+
+firm_contact(A, B, Enough, Share) :-
+    measured(contact, A, B, Share),
+    number(Share),
     Share >= Enough.
 
 %   surface_below(+A, +B, +Gap, -Test): the surface of one goes on, unseen, close below the other.
