@@ -150,20 +150,34 @@ def largest_cluster(points: Array, weights: Array, cell: float) -> Array:
         j = np.int64(np.floor(points[p, 1] / cell)) + (1 << 20)
         k = np.int64(np.floor(points[p, 2] / cell)) + (1 << 20)
         keys[p] = i << 42 | j << 21 | k
-    cells = np.unique(keys)
-    at = np.searchsorted(cells, keys)
+    order = np.argsort(keys)
+    cells, at, m = np.empty(n, np.int64), np.empty(n, np.int64), 0
+    for p in order:
+        if m == 0 or keys[p] != cells[m - 1]:
+            cells[m] = keys[p]
+            m += 1
+        at[p] = m - 1
+    cells = cells[:m]
     parent = np.arange(len(cells))
-    for c in range(len(cells)):
-        for step in range(14, 27):  # half of the neighbours: the relation is symmetric
-            other = cells[c] + (np.int64(step // 9 - 1) << 42) + (np.int64(step // 3 % 3 - 1) << 21) + step % 3 - 1
-            d = np.searchsorted(cells, other)
-            if d == len(cells) or cells[d] != other:
-                continue
-            join(parent, c, d)
+    for c in range(len(cells) - 1):
+        if cells[c + 1] == cells[c] + 1:
+            join(parent, c, c + 1)
+    for di, dj in ((0, 1), (1, -1), (1, 0), (1, 1)):  # half of the rows beside: the relation is symmetric
+        beside = (np.int64(di) << 42) + (np.int64(dj) << 21)
+        d = 0
+        for c in range(len(cells)):
+            first = cells[c] + beside - 1
+            while d < len(cells) and cells[d] < first:
+                d += 1
+            e = d
+            while e < len(cells) and cells[e] <= first + 2:
+                join(parent, c, e)
+                e += 1
     mass = np.zeros(len(cells))
     root = np.empty(n, dtype=np.int64)
     for p in range(n):
         root[p] = root_of(parent, at[p])
         mass[root[p]] += weights[p]
-    heaviest: Array = root == mass.argmax()
-    return heaviest
+    heaviest = mass.argmax()
+    together: Array = root == heaviest
+    return together
