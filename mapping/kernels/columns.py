@@ -48,6 +48,18 @@ def facing_up(points: Array, keys: Array, order: Array, least: float, clearance:
 
 
 @njit(cache=True)
+def column_tops(keys: Array, order: Array) -> Array:
+    """Indices (C,) of the highest point of each column; order as in `facing_up`."""
+    found = np.empty(len(order), dtype=np.int64)
+    n = 0
+    for a in range(len(order)):
+        if a == len(order) - 1 or keys[order[a]] != keys[order[a + 1]]:
+            found[n] = order[a]
+            n += 1
+    return found[:n]
+
+
+@njit(cache=True)
 def column_bottoms(points: Array, keys: Array, order: Array) -> Array:
     """Indices (C,) of the lowest point of each column."""
     found = np.empty(len(points), dtype=np.int64)
@@ -68,13 +80,15 @@ def thin_out(points: Array, cell: float) -> Array:
         j = np.int64(np.floor(points[n, 1] / cell)) + (1 << 20)
         k = np.int64(np.floor(points[n, 2] / cell)) + (1 << 20)
         keys[n] = i << 42 | j << 21 | k
-    order = np.argsort(keys, kind="mergesort")
+    order = np.argsort(keys)
     kept = np.empty(len(points), dtype=np.int64)
     n = 0
     for a in range(len(order)):
         if a == 0 or keys[order[a]] != keys[order[a - 1]]:
             kept[n] = order[a]
             n += 1
+        else:
+            kept[n - 1] = min(kept[n - 1], order[a])
     return np.sort(kept[:n])
 
 

@@ -12,11 +12,49 @@ Array = NDArray[Any]
 
 
 @njit(cache=True)
+def bounds(points: Array) -> tuple[Array, Array]:
+    """The lowest and the highest corner (3,) of points (N, 3), as float64."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for n in range(len(points)):
+        for a in range(3):
+            x = np.float64(points[n, a])
+            low[a], high[a] = min(low[a], x), max(high[a], x)
+    return low, high
+
+
+@njit(cache=True)
+def _outermost(points: Array) -> Array:
+    """The points (K, 2) of (N, 2) that may be corners of the convex hull: those that do not lie inside the octagon about
+    the points farthest along the axes and diagonals (Akl & Toussaint, A fast convex hull algorithm, 1978)."""
+    n = len(points)
+    farthest, at = np.full(8, -np.inf), np.zeros(8, np.int64)
+    for i in range(n):
+        x, y = points[i, 0], points[i, 1]
+        along = (x, x + y, y, y - x, -x, -x - y, -y, x - y)
+        for d in range(8):
+            if along[d] > farthest[d]:
+                farthest[d], at[d] = along[d], i
+    kept = np.empty((n, 2))
+    k = 0
+    for i in range(n):
+        x, y = points[i, 0], points[i, 1]
+        for d in range(8):
+            ax, ay = points[at[d], 0], points[at[d], 1]
+            bx, by = points[at[(d + 1) % 8], 0], points[at[(d + 1) % 8], 1]
+            if (ax != bx or ay != by) and (bx - ax) * (y - ay) - (by - ay) * (x - ax) <= 0.0:
+                kept[k, 0], kept[k, 1] = x, y
+                k += 1
+                break
+    return kept[:k] if k else points[:1].copy()
+
+
+@njit(cache=True)
 def convex_hull(points: Array) -> Array:
     """Corners (K, 2), counter-clockwise, of the convex hull of `points` (N, 2), by Andrew's monotone chain.
 
     Fewer than three points, or points on a line, give the one or two extreme points.
     """
+    points = _outermost(points) if len(points) > 16 else points
     n = len(points)
     order = np.argsort(points[:, 1], kind="mergesort")
     order = order[np.argsort(points[order, 0], kind="mergesort")]
@@ -109,13 +147,14 @@ def points_inside(corners: Array, points: Array, margin: float) -> Array:
 
 
 @njit(cache=True)
-def _closeness(points: Array, yaw: float, near: float) -> float:
-    """Σ 1/max(d, near) over points, d being the distance to the sides of the rectangle of this yaw about all points."""
+def _closeness(points: Array, hull: Array, yaw: float, near: float) -> float:
+    """Σ 1/max(d, near) over points, d being the distance to the sides of the rectangle of this yaw about all points, of
+    which `hull` are the outermost."""
     c, s = np.cos(yaw), np.sin(yaw)
     low_u = low_v = np.inf
     high_u = high_v = -np.inf
-    for n in range(len(points)):
-        u, v = c * points[n, 0] + s * points[n, 1], c * points[n, 1] - s * points[n, 0]
+    for n in range(len(hull)):
+        u, v = c * hull[n, 0] + s * hull[n, 1], c * hull[n, 1] - s * hull[n, 0]
         low_u, high_u, low_v, high_v = min(low_u, u), max(high_u, u), min(low_v, v), max(high_v, v)
     total = 0.0
     for n in range(len(points)):
@@ -135,16 +174,17 @@ def fit_rectangle(points: Array, most: int, near: float) -> tuple[float, float, 
     than `near` [m] to a side is close enough. Length ≥ width; yaw in [−π/2, π/2).
     """
     step = max(1, len(points) // most)
-    some = points[::step]
+    some = points[::step].copy()
+    hull = convex_hull(some)
     best, yaw = -1.0, 0.0
     for k in range(90):
-        score = _closeness(some, np.pi * k / 180.0, near)
+        score = _closeness(some, hull, np.pi * k / 180.0, near)
         if score > best:
             best, yaw = score, np.pi * k / 180.0
     for finer in (1800.0, 18000.0):
         middle = yaw
         for k in range(-9, 10):
-            score = _closeness(some, middle + np.pi * k / finer, near)
+            score = _closeness(some, hull, middle + np.pi * k / finer, near)
             if score > best:
                 best, yaw = score, middle + np.pi * k / finer
     c, s = np.cos(yaw), np.sin(yaw)

@@ -81,11 +81,11 @@ class Shape:
 
     @cached_property
     def lowest(self) -> float:
-        return float(self.points[:, 2].min())
+        return float(self.bounds[0][2])
 
     @cached_property
     def highest(self) -> float:
-        return float(self.points[:, 2].max())
+        return float(self.bounds[1][2])
 
     @cached_property
     def hull(self) -> Array:
@@ -128,7 +128,7 @@ class Shape:
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
         """Lowest and highest corner (3,) of the axis-aligned box."""
-        return self.points.min(axis=0).astype(np.float64), self.points.max(axis=0).astype(np.float64)
+        return shapes.bounds(self.points)  # type: ignore[no-any-return]
 
     @cached_property
     def coarse(self) -> NDArray[np.float32]:
@@ -165,8 +165,8 @@ class Shape:
     @cached_property
     def tops(self) -> NDArray[np.float32]:
         """(C, 3) the highest point of every column."""
-        turned = self.upside_down.bottoms
-        return turned * np.array([1.0, 1.0, -1.0], np.float32)
+        highest: NDArray[np.float32] = self.points[columns.column_tops(*self._columns)]
+        return highest
 
     @cached_property
     def upside_down(self) -> Shape:
