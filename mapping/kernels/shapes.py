@@ -24,7 +24,7 @@ def bounds(points: Array) -> tuple[Array, Array]:
 
 @njit(cache=True)
 def _outermost(points: Array) -> Array:
-    """The points (K, 2) of (N, 2) that may be corners of the convex hull: those that do not lie inside the octagon about
+    """The points (K, 2) of (N, 2) that may be corners of the convex hull: those that do not lie inside the octagon of
     the points farthest along the axes and diagonals (Akl & Toussaint, A fast convex hull algorithm, 1978)."""
     n = len(points)
     farthest, at = np.full(8, -np.inf), np.zeros(8, np.int64)
