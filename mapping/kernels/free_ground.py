@@ -56,6 +56,47 @@ def survey(evidence: Array, levels: Array, wide: int) -> tuple[Array, Array]:
 
 
 @njit(cache=True)
+def note_columns(
+    free: Array, solid: Array, evidence: Array, blocks: Array, heights: Array, columns_per_cell: float, low: Array
+) -> tuple[int, Array]:
+    """Note what columns of voxels say of the ground cells below them, in place.
+
+    free     : (W, H) bool, set where a voxel is free
+    solid    : (W, H) uint16, bit b set or cleared as something is or is not in the blocks that have it
+    evidence : (K, 8, 8, 8) int8 of the blocks (K, 3), −128 where nothing is known; heights (K, 8) bool: which count
+    low      : (2,) the cell of the first entry of the arrays
+
+    Returns how many cells are free that were not, and the lowest and the highest of these (2, 2), counted as in `low`.
+    A block's bit is its layer modulo 16.
+    """
+    n = 0
+    bounds = np.empty((2, 2), dtype=np.int64)
+    for clearing in (True, False):
+        for b in range(len(blocks)):
+            bit = np.uint16(1 << (blocks[b, 2] & 15))
+            for u in range(8):
+                i = int(np.floor((8 * blocks[b, 0] + u + 0.5) / columns_per_cell)) - low[0]
+                for v in range(8):
+                    j = int(np.floor((8 * blocks[b, 1] + v + 0.5) / columns_per_cell)) - low[1]
+                    if clearing:
+                        solid[i, j] &= ~bit
+                        continue
+                    for z in range(8):
+                        value = evidence[b, u, v, z]
+                        if not heights[b, z] or value == -128:
+                            continue
+                        if value >= 0:
+                            solid[i, j] |= bit
+                        elif not free[i, j]:
+                            free[i, j] = True
+                            for a, cell in enumerate((i + low[0], j + low[1])):
+                                bounds[0, a] = cell if n == 0 else min(bounds[0, a], cell)
+                                bounds[1, a] = cell if n == 0 else max(bounds[1, a], cell)
+                            n += 1
+    return n, bounds
+
+
+@njit(cache=True)
 def choose_places(clearance: Array, worth: Array, taken: Array, spacing: float, share: float) -> Array:
     """The cells (K, 2) of places: the one with most clearance first, then that which is left with most, and so on.
 

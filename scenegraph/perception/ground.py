@@ -79,17 +79,20 @@ class GroundGrid(Grid):
     """The ground of the rooms of a storey.
 
     free : bool, room : int32 (0 = none), drawn : bool (an operator gave it to the room, or to none), sky : bool (free
-    above every ceiling), tall : bool (something is as high as that)
+    above every ceiling), tall : bool (something is as high as that), solid : uint16 (a bit for each layer of blocks at
+    standing height in which something is)
     """
 
     channels: ClassVar[Mapping[str, type]] = {
         "free": np.bool_, "room": np.int32, "drawn": np.bool_, "sky": np.bool_, "tall": np.bool_,
+        "solid": np.uint16,
     }  # fmt: skip
     free: NDArray[np.bool_]
     room: NDArray[np.int32]
     drawn: NDArray[np.bool_]
     sky: NDArray[np.bool_]
     tall: NDArray[np.bool_]
+    solid: NDArray[np.uint16]
 
     def at(self, xy: Array) -> Array:
         """The room number (N,) at points (N, 2) [m]; 0 where there is none."""

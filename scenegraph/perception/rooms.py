@@ -1,8 +1,11 @@
 """Rooms: the parts of a storey's ground that walls and narrow passages set apart.
 
-Free space at standing height is gathered in a ground grid; walls are drawn as closed lines, openings included; what is
-left falls into basins of the distance to the walls, and a basin stays a room of its own when the neck to the next is
-clearly narrower than either (after Bormann et al., *Room Segmentation: Survey, Implementation, and Analysis*, 2016).
+Free space at standing height is gathered in a ground grid; walls are drawn as closed lines, openings included, and
+what fills all of standing height away from them, nobody having called it a wall, parts the ground too. What is left
+falls apart when the walls are dilated: components appear at the widest places, as the radius shrinks, and one lives on
+as a room when it meets the next at a neck clearly narrower than either (persistence of connected components under
+dilation, as in Hughes et al., *Hydra*, RSS 2022, but by the ratio of the radii, so that no size of homes is assumed; on
+necks after Bormann et al., *Room Segmentation: Survey, Implementation, and Analysis*, 2016).
 """
 
 from __future__ import annotations
@@ -119,10 +122,10 @@ class Rooms:
         before = storey.ground.room[window].copy()
         other = ((before > 0) & ~np.isin(before, reached)) | storey.ground.drawn[window]
         barrier = self._barrier(storey, low, before.shape)
+        solid = storey.solid(window)
         closed = barrier | other
-        reach = storey.ground.free[window] & ~closed
-        kernels.grow(reach, closed, round(HIDDEN_M / CELL_M))
-        reach = ndimage.binary_fill_holes(reach) & ~closed
+        free = storey.ground.free[window] & ~closed
+        reach = _widened(free, closed | _apart(solid, barrier), solid | closed)
         clearance = ndimage.distance_transform_edt(np.pad(reach, 1))[1:-1, 1:-1]
         labels = kernels.basins(clearance, NECK_SHARE)
         cells = np.bincount(labels.ravel())
@@ -130,6 +133,7 @@ class Rooms:
         guessed = (seen < LEAST_SEEN_SHARE * cells)[labels] & (labels > 0)
         reach &= ~guessed
         labels[guessed | (cells * CELL_M**2 < LEAST_ROOM_M2)[labels]] = 0
+        reach = _widened(reach, closed, solid | closed)
         kernels.flood(labels, reach)
         told = np.where(storey.ground.drawn[window], before, 0)
         before[other] = 0
@@ -327,6 +331,28 @@ class Rooms:
                 },
             )
         )
+
+
+def _widened(reach: Array, barrier: Array, solid: Array) -> Array:
+    """Ground (W, H) with what furniture hides of it, so far as hidden ground goes: what lies between the ground and
+    something solid, or between solid things. Enters no barrier."""
+    deep = round(HIDDEN_M / CELL_M)
+    everywhere = np.zeros_like(reach)
+    closed = reach | solid
+    kernels.grow(closed, everywhere, (deep + 1) // 2)
+    outside = ~closed
+    kernels.grow(outside, everywhere, (deep + 1) // 2)
+    widened = reach.copy()
+    kernels.grow(widened, barrier | outside, deep)
+    kernels.fill_holes(widened)
+    return widened & ~barrier
+
+
+def _apart(solid: Array, barrier: Array) -> Array:
+    """Of what is solid (W, H), what no known wall is near: what is near may be furniture before it."""
+    near = barrier.copy()
+    kernels.grow(near, np.zeros_like(near), round(HIDDEN_M / CELL_M))
+    return solid & ~near
 
 
 def _under_the_sky(cells: Array, storey: Storey) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from mapping.kernels import free_ground
 from mapping.occupancy import OccupancyMap
 from mapping.planes import Plane
 from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
@@ -32,6 +33,8 @@ CORNER_M = 0.15
 """Walls are drawn this much longer at both ends, to meet in the corners."""
 LEAST_WALL_M = 0.4
 LEAST_NEW_CELLS = 10
+LEAST_LAYER_VOXELS = 3
+"""A layer of blocks counts when so many of its voxels lie at standing height."""
 STOREY_M = 1.9
 """Floors that differ by less than this in height belong to one storey: landings of stairs lie halfway."""
 LEAST_FLOOR_M2 = 1.0
@@ -64,6 +67,7 @@ class Storey:
     ceiling_z: float | None = None
     _over: GroundIndex = field(default_factory=GroundIndex)
     _weights: dict[int, tuple[float, float]] = field(default_factory=dict)
+    _layers: int = 0
 
     @property
     def id(self) -> str:
@@ -103,47 +107,54 @@ class Storey:
         """Note the cells that are free at standing height, and what is above every ceiling, free or tall; returns the
         bounds of the former, corners (2, 2) in cells, where new."""
         height = TALLEST_STOREY_M if self.ceiling_z is None else self.ceiling_z - self.floor_z
-        sky, tall, _ = self._cells(occupancy, blocks, height + OPEN_SKY_M[0], height + OPEN_SKY_M[1])
+        sky, tall = self._look_up(occupancy, blocks, height + OPEN_SKY_M[0], height + OPEN_SKY_M[1])
         if len(sky):
             above = self._at(sky)
             self.ground.sky[above], self.ground.tall[above] = True, False
         if len(tall):
             self.ground.tall[self._at(tall)] = True
-        _, _, cells = self._cells(occupancy, blocks, *BAND_M)
-        if not len(cells):
-            return []
-        at = self._at(cells)
-        new = cells[~self.ground.free[at]]
-        self.ground.free[at] = True
-        return [np.stack([new.min(axis=0), new.max(axis=0)])] if len(new) >= LEAST_NEW_CELLS else []
+        return self._look_round(occupancy, blocks)
 
-    def _cells(self, occupancy: OccupancyMap, blocks: Array, low_m: float, high_m: float) -> tuple[Array, Array, Array]:
-        """Cells (N, 2) of which the blocks show, between two heights over the floor, free space throughout; something
-        occupied; some free space."""
+    def _look_up(self, occupancy: OccupancyMap, blocks: Array, low_m: float, high_m: float) -> tuple[Array, Array]:
+        """Cells (N, 2) of which the blocks show, between two heights over the floor, free space throughout, and those
+        where something is."""
+        blocks, evidence, in_band = self._between(occupancy, blocks, low_m, high_m)
+        throughout = np.all(_is_free(evidence) | ~in_band, axis=3) & np.any(in_band, axis=3)
+        occupied = np.any((evidence >= 0) & in_band, axis=3)
+        return self._ground_cells(blocks, throughout, occupancy), self._ground_cells(blocks, occupied, occupancy)
+
+    def _look_round(self, occupancy: OccupancyMap, blocks: Array) -> list[Array]:
+        """Note the cells with free space at standing height, and in which layers of blocks there something is; returns
+        the bounds of the former, where new."""
+        self._layers = _layers(occupancy, self.floor_z + BAND_M[0], self.floor_z + BAND_M[1])
+        blocks, evidence, in_band = self._between(occupancy, blocks, *BAND_M)
+        if not len(blocks):
+            return []
+        corners = np.stack([blocks[:, :2].min(axis=0), blocks[:, :2].max(axis=0) + 1]) * occupancy.block_size_m
+        self.ground.cover(*np.floor(corners / CELL_M).astype(np.int64))
+        n, bounds = free_ground.note_columns(
+            self.ground.free, self.ground.solid, evidence, blocks.astype(np.int64), in_band[:, 0, 0],
+            CELL_M / occupancy.voxel_size_m, self.ground.low,
+        )  # fmt: skip
+        return [bounds] if n >= LEAST_NEW_CELLS else []
+
+    def _between(
+        self, occupancy: OccupancyMap, blocks: Array, low_m: float, high_m: float
+    ) -> tuple[Array, Array, Array]:
+        """The blocks (K, 3) that reach between two heights over the floor, their evidence (K, 8, 8, 8), and which of
+        their voxels (K, 1, 1, 8) lie between."""
         edge = occupancy.block_size_m
         low, high = self.floor_z + low_m, self.floor_z + high_m
         blocks = blocks[(blocks[:, 2] * edge < high) & ((blocks[:, 2] + 1) * edge > low)]
-        if not len(blocks):
-            none = np.empty((0, 2), np.int64)
-            return none, none, none
-        evidence = occupancy.evidence_of(blocks).reshape(-1, 8, 8, 8)
         heights = (blocks[:, 2, None] * 8 + np.arange(8) + 0.5) * occupancy.voxel_size_m
         in_band = ((heights > low) & (heights < high))[:, None, None, :]
-        free = (evidence < 0) & (evidence > -128)
-        throughout = np.all(free | ~in_band, axis=3) & np.any(in_band, axis=3)
-        occupied = np.any((evidence >= 0) & in_band, axis=3)
-        open_somewhere = np.any(free & in_band, axis=3)
-
-        def cells(columns: Array) -> Array:
-            return self._ground_cells(blocks, columns, occupancy.voxel_size_m)
-
-        return cells(throughout), cells(occupied), cells(open_somewhere)
+        return blocks, occupancy.evidence_of(blocks).reshape(-1, 8, 8, 8), in_band
 
     @staticmethod
-    def _ground_cells(blocks: Array, columns: Array, voxel_size_m: float) -> Array:
+    def _ground_cells(blocks: Array, columns: Array, occupancy: OccupancyMap) -> Array:
         """The cells (N, 2) below columns (K, 8, 8) bool of blocks (K, 3)."""
         which, u, v = np.nonzero(columns)
-        xy = (blocks[which, :2] * 8 + np.stack([u, v], axis=1) + 0.5) * voxel_size_m
+        xy = (blocks[which, :2] * 8 + np.stack([u, v], axis=1) + 0.5) * occupancy.voxel_size_m
         return np.floor(xy / CELL_M).astype(np.int64)
 
     def _at(self, cells: Array) -> tuple[Array, Array]:
@@ -151,6 +162,13 @@ class Storey:
         self.ground.cover(cells.min(axis=0), cells.max(axis=0))
         i, j = (cells - self.ground.low).T
         return i, j
+
+    def solid(self, where: tuple[slice, slice]) -> Array:
+        """(W, H) bool: the cells of a window that something fills from the lowest to the highest layer at standing
+        height: walls, labelled or not, and tall furniture."""
+        if not self._layers:
+            return np.zeros(self.ground.solid[where].shape, np.bool_)
+        return np.asarray((self.ground.solid[where] & self._layers) == self._layers)
 
     def move_walls(self, planes: Iterable[tuple[str, Plane]]) -> list[Array]:
         """Draw walls anew; returns the bounds of those that changed."""
@@ -180,6 +198,17 @@ class Storey:
         line = self.walls.pop(plane_id, None)
         if line is not None:
             self.opened.append(_line_bounds(line))
+
+
+def _is_free(evidence: Array) -> NDArray[np.bool_]:
+    return (evidence < 0) & (evidence > -128)
+
+
+def _layers(occupancy: OccupancyMap, low: float, high: float) -> int:
+    """A bit for each layer of blocks of which some voxels lie between two heights [m]."""
+    voxels = np.arange(np.ceil(low / occupancy.voxel_size_m - 0.5), np.floor(high / occupancy.voxel_size_m + 0.5))
+    layers, counts = np.unique(voxels.astype(np.int64) // 8, return_counts=True)
+    return sum(1 << layer % 16 for layer in layers[counts >= LEAST_LAYER_VOXELS].tolist())
 
 
 class Storeys(Sequence[Storey]):

@@ -27,6 +27,14 @@ def test_growth_is_that_of_the_naive_reference(reach: np.ndarray, barrier: np.nd
 
 
 @settings(max_examples=60, deadline=None)
+@given(reach=grids)
+def test_holes_are_those_that_scipy_fills(reach: np.ndarray) -> None:
+    filled = reach.copy()
+    regions.fill_holes(filled)
+    assert (filled == ndimage.binary_fill_holes(reach)).all()
+
+
+@settings(max_examples=60, deadline=None)
 @given(seeds=sparse, allowed=sparse.map(lambda a: ~a))
 def test_a_flood_gives_every_cell_to_a_nearest_label(seeds: np.ndarray, allowed: np.ndarray) -> None:
     labels = np.where(seeds, np.arange(1, seeds.size + 1).reshape(seeds.shape), 0).astype(np.int32)

@@ -29,6 +29,37 @@ from tests.support.small_home import room_at, stamp
 
 # -- kernels -----------------------------------------------------------------------------------------------------------
 
+
+@given(seed=st.integers(0, 2**32 - 1), wide=st.sampled_from([1, 2, 4]))
+@settings(max_examples=30, deadline=None)
+def test_columns_say_what_is_free_and_what_is_solid(seed: int, wide: int) -> None:
+    random = np.random.default_rng(seed)
+    blocks = np.unique(random.integers(-1, 2, (9, 3)), axis=0)
+    evidence = random.choice(np.array([-128, -5, 5], np.int8), (len(blocks), 8, 8, 8), p=[0.9, 0.07, 0.03])
+    heights = random.random((len(blocks), 8)) < 0.6
+    low, shape = np.array([-16, -16]), (40, 40)
+    free, solid = random.random(shape) < 0.1, random.integers(0, 4, shape).astype(np.uint16)
+    free_then, solid_then = free.copy(), solid.copy()
+    for clearing in (True, False):
+        for block, values, counts in zip(blocks, evidence, heights, strict=True):
+            for u, v in np.ndindex(8, 8):
+                i, j = (8 * block[:2] + (u, v)) // wide - low
+                bit = np.uint16(1 << block[2] % 16)
+                if clearing:
+                    solid_then[i, j] &= ~bit
+                else:
+                    column = values[u, v][counts]
+                    solid_then[i, j] |= bit if (column >= 0).any() else 0
+                    free_then[i, j] |= ((column < 0) & (column > -128)).any()
+    new = np.argwhere(free_then & ~free) + low
+    n, bounds = kernels.note_columns(free, solid, evidence, blocks, heights, float(wide), low)
+    assert (free == free_then).all()
+    assert (solid == solid_then).all()
+    assert n == len(new)
+    if n:
+        assert (bounds == [new.min(axis=0), new.max(axis=0)]).all()
+
+
 grounds = st.integers(0, 2**32 - 1).map(
     lambda seed: ndimage.binary_opening(np.random.default_rng(seed).random((24, 20)) < 0.9, np.ones((3, 3)))
 )

@@ -191,6 +191,47 @@ def test_a_beam_through_a_window_makes_no_room() -> None:
     assert home.at(10.0, 2.0) is None
 
 
+SOLID = {"z": (0.0, 2.4), "evidence": OCCUPIED_EVIDENCE}
+"""What fills space from the floor to the ceiling."""
+ABOUT_BOTH = [(-0.1, -0.1, 8.1, 0.1), (-0.1, 3.9, 8.1, 4.1), (-0.1, -0.1, 0.1, 4.1), (7.9, -0.1, 8.1, 4.1)]
+BETWEEN = [(3.9, 0.1, 4.1, 1.5), (3.9, 2.4, 4.1, 3.9)]
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0], [1, 2, 0]])
+def test_walls_that_nobody_called_so_part_rooms_whatever_was_seen_first(order: list[int]) -> None:
+    home = Home()
+    home.see(structure=[floor(1, 0, 0, 8, 4)])
+    home.see(*ABOUT_BOTH, *BETWEEN, **SOLID)  # type: ignore[arg-type]
+    for n in order:
+        home.see((LEFT, RIGHT, DOORWAY)[n])
+    assert len(home.ids) == 2
+    assert home.at(2.0, 2.0) != home.at(6.0, 2.0)
+    for room in home.ids:
+        assert home.area(room) == pytest.approx(16.0, rel=0.15)
+    home.restart()
+    home.see(LEFT, RIGHT, DOORWAY, (1.0, 1.0, 2.0, 2.0))
+    assert len(home.ids) == 2
+
+
+def test_tall_furniture_before_a_wall_parts_nothing_and_stands_in_the_room() -> None:
+    """Wardrobes on both sides leave a narrow way through a room: no neck, for the walls behind them are known."""
+    home = Home()
+    home.see(LEFT, structure=[*TWO_WALLS[:4], wall(6, 4, 0, 4, 4)])
+    before = home.area(home.ids[0])
+    home.see((1.5, 0.1, 2.5, 0.7), (1.5, 3.3, 2.5, 3.9), **SOLID)  # type: ignore[arg-type]
+    home.see((*LEFT[:2], 1.5, 3.9), (1.5, 0.7, 2.5, 3.3), (2.5, 0.1, 3.9, 3.9))
+    assert len(home.ids) == 1
+    assert home.area(home.ids[0]) == pytest.approx(before, rel=0.02)
+    assert home.at(2.0, 0.4) == home.ids[0]
+
+
+def test_ground_that_ends_without_a_wall_ends_where_it_was_seen() -> None:
+    home = Home()
+    home.see(LEFT, structure=[floor(1, 0, 0, 8, 4)])
+    assert home.area(home.ids[0]) == pytest.approx(3.9**2, rel=0.02)
+    assert home.at(4.1, 2.0) is None
+
+
 def test_a_corridor_with_three_doors_stays_one() -> None:
     corridor = (0.1, 0.1, 8.9, 1.4)
     behind = [(0.1, 1.6, 2.9, 4.4), (3.1, 1.6, 5.9, 4.4), (6.1, 1.6, 8.9, 4.4)]
