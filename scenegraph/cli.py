@@ -360,6 +360,9 @@ def evaluate(
     second_tour: Annotated[
         bool, typer.Option("--second-tour", help="Then change each home and map it again: what becomes of its things?")
     ] = False,
+    workers: Annotated[
+        int, typer.Option(min=1, help="Homes mapped at the same time; with more than one, times of images say little.")
+    ] = 1,
     as_json: Json = False,
 ) -> None:
     """Map simulated homes and print figures against their truth."""
@@ -368,8 +371,9 @@ def evaluate(
     printer = Printer(json=as_json)
     with printer.progress("homes", seeds) as advance:
         result = run(
-            seeds, first_seed=first_seed, noise=noise, mislabelled=mislabelled, second_tour=second_tour, advance=advance
-        )
+            seeds, first_seed=first_seed, noise=noise, mislabelled=mislabelled, second_tour=second_tour,
+            workers=workers, advance=advance,
+        )  # fmt: skip
     if as_json:
         printer.document(result.as_json())
     else:

@@ -4,6 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from functools import partial
+from multiprocessing import get_context
+
+import numba
 
 from mapping.observations import RgbdImage
 from scenegraph.config import WorldConfig
@@ -15,7 +21,7 @@ from scenegraph.evaluation.second_tour import take_second_tour
 from scenegraph.evaluation.semantics import judge_voxels
 from scenegraph.evaluation.views import ViewLog
 from scenegraph.simulation import Home, TruthRecorder, simulate_home
-from scenegraph.simulation.noise import Noise
+from scenegraph.simulation.noise import Noise, NoiseModel
 from scenegraph.simulation.observing import noise_model
 from scenegraph.world import World
 
@@ -30,6 +36,7 @@ def evaluate(
     mislabelled: float | None = None,
     config: WorldConfig | None = None,
     second_tour: bool = False,
+    workers: int = 1,
     advance: Callable[[], object] | None = None,
 ) -> Evaluation:
     """Map `seeds` simulated homes, beginning with `first_seed`, and judge each against its truth.
@@ -37,24 +44,44 @@ def evaluate(
     noise       *none*, *realistic*, or a `NoiseModel`
     mislabelled share of the things that get a wrong class in an image, drawn anew for each; instead of the noise's own
     second_tour whether each home is then changed and mapped again, see `evaluation.second_tour`
+    workers     processes that map homes at the same time; with more than one, the times of images say little
     advance     called after each home
 
     Raises `InvalidParameter` on a noise that does not exist, or a share outside 0 … 1.
     """
     model = noise_model(noise, mislabelled)
     result = Evaluation(noise=model)
-    for seed in range(first_seed, first_seed + seeds):
-        home = simulate_home(seed)
-        with World(config) as world:
-            views = ViewLog(world.map.semantics.voxel_size_m, world.config.label_range_m)
-            recorder, times = map_home(world, home, model, seed, views)
-            things = judge(world, home, recorder, result, views)
-            if second_tour:
-                take_second_tour(world, home, recorder, things, model, seed, result)
-        result.seeds.append(seed)
-        result.image_ms += times
-        if advance is not None:
-            advance()
+    one = partial(_evaluate_home, noise=model, config=config, second_tour=second_tour)
+    with ExitStack() as stack:
+        homes = range(first_seed, first_seed + seeds)
+        if workers > 1:
+            pool = ProcessPoolExecutor(
+                workers, mp_context=get_context("spawn"), initializer=_share_cores, initargs=(workers,)
+            )
+            found = stack.enter_context(pool).map(one, homes)
+        else:
+            found = map(one, homes)
+        for home in found:
+            result.merge(home)
+            if advance is not None:
+                advance()
+    return result
+
+
+def _share_cores(workers: int) -> None:
+    numba.set_num_threads(max(1, numba.get_num_threads() // workers))
+
+
+def _evaluate_home(seed: int, *, noise: NoiseModel, config: WorldConfig | None, second_tour: bool) -> Evaluation:
+    result = Evaluation(seeds=[seed], noise=noise)
+    home = simulate_home(seed)
+    with World(config) as world:
+        views = ViewLog(world.map.semantics.voxel_size_m, world.config.label_range_m)
+        recorder, times = map_home(world, home, noise, seed, views)
+        things = judge(world, home, recorder, result, views)
+        if second_tour:
+            take_second_tour(world, home, recorder, things, noise, seed, result)
+    result.image_ms += times
     return result
 
 

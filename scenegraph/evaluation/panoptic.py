@@ -111,6 +111,14 @@ class PanopticTally:
             ],
         )
 
+    def merge(self, other: PanopticTally) -> None:
+        """Add the segments of other homes."""
+        for class_id, overlap in other.overlap.items():
+            self.overlap[class_id] += overlap
+        self.matched.update(other.matched)
+        self.missed.update(other.missed)
+        self.invented.update(other.invented)
+
     def quality(self, classes: Collection[int] | None = None) -> PanopticQuality:
         """The mean over all classes, or those of `classes`, that have a segment, true or said."""
         each = []

@@ -54,6 +54,17 @@ class Evaluation:
         """Add to a figure that is a share."""
         self.shares[name].add(some, of_all, of_all)
 
+    def merge(self, other: Evaluation) -> None:
+        """Add the counts and notes of other homes."""
+        self.seeds += other.seeds
+        for mine, theirs in ((self.tallies, other.tallies), (self.shares, other.shares)):
+            for name, tally in theirs.items():
+                mine[name].add(tally.right, tally.said, tally.true)
+        self.semantics.merge(other.semantics)
+        self.image_ms += other.image_ms
+        self.uncounted += other.uncounted
+        self.notes += other.notes
+
     def figures(self) -> dict[str, float]:
         """Every figure by name."""
         found: dict[str, float] = {}

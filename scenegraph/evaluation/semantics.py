@@ -89,6 +89,24 @@ class SemanticTally:
     seen: int = 0
     seen_and_labelled: int = 0
 
+    def merge(self, other: SemanticTally) -> None:
+        """Add the counts of other homes."""
+        for mine, theirs in (
+            (self.said, other.said),
+            (self.single_view, other.single_view),
+            (self.all_surfaces, other.all_surfaces),
+            (self.confused, other.confused),
+        ):
+            mine.update(theirs)
+        for views, (n, right, right_once) in other.by_views.items():
+            self._add_views(views, n, right, right_once)
+        self.panoptic.merge(other.panoptic)
+        self.things |= other.things
+        self.stuff |= other.stuff
+        self.off_surface += other.off_surface
+        self.seen += other.seen
+        self.seen_and_labelled += other.seen_and_labelled
+
     def figures(self) -> dict[str, float]:
         """Every figure by name, those that there is nothing to tell of left out."""
         if not self.said:
@@ -139,12 +157,11 @@ class SemanticTally:
         voxels = np.bincount(views)
         right, right_once = (np.bincount(views[true == s], minlength=len(voxels)) for s in (said, said_once))
         for n in np.flatnonzero(voxels).tolist():
-            before = self.by_views.get(n, (0, 0, 0))
-            self.by_views[n] = (
-                before[0] + int(voxels[n]),
-                before[1] + int(right[n]),
-                before[2] + int(right_once[n]),
-            )
+            self._add_views(n, int(voxels[n]), int(right[n]), int(right_once[n]))
+
+    def _add_views(self, views: int, voxels: int, right: int, right_once: int) -> None:
+        before = self.by_views.get(views, (0, 0, 0))
+        self.by_views[views] = (before[0] + voxels, before[1] + right, before[2] + right_once)
 
     def _median_views(self) -> float:
         if not self.by_views:

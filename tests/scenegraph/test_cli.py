@@ -260,10 +260,10 @@ def test_evaluate_passes_on_the_noise_and_prints_figures_once(monkeypatch):
     assert told["figures"] == {"image_ms.median": 2.0, "image_ms.p99": 2.0}
     assert told["noise"]["mislabelled"] == 0.25
     assert told["semantics.accuracy_by_views"] == []
-    assert run("evaluate", "--noise", "none").exit_code == 0
+    assert run("evaluate", "--noise", "none", "--workers", 2).exit_code == 0
     assert asked == [
-        (1, True, {"first_seed": 7, "noise": "realistic", "mislabelled": 0.25, "second_tour": False}),
-        (10, True, {"first_seed": 0, "noise": "none", "mislabelled": None, "second_tour": False}),
+        (1, True, {"first_seed": 7, "noise": "realistic", "mislabelled": 0.25, "second_tour": False, "workers": 1}),
+        (10, True, {"first_seed": 0, "noise": "none", "mislabelled": None, "second_tour": False, "workers": 2}),
     ]
 
 

@@ -504,3 +504,33 @@ def test_doors_count_where_a_node_leads_from_the_right_room_to_the_right_room():
         "1: missed ajar door_2 of ('c', 'a')",
         "1: near_the_wrong is no way between a and c",
     ]
+
+
+def counted(rng):
+    """An evaluation of some homes, and its share of voxels and segments."""
+    found = Evaluation(seeds=[int(rng.integers(100))], image_ms=rng.random(3).tolist(), notes=["missed a cup"])
+    found.tallies["objects"].add(*rng.integers(0, 9, 3).tolist())
+    found.count("labelled", *sorted(rng.integers(1, 9, 2).tolist()))
+    true, said, instance = rng.integers(0, 4, (3, 50))
+    found.semantics.said.count(true, said)
+    found.semantics.count_views(rng.integers(1, 9, 50), true, said, said)
+    found.semantics.panoptic.add(true, instance, said, instance, things={1, 2})
+    found.semantics.things |= {1, 2}
+    found.semantics.off_surface += int(rng.integers(9))
+    return found
+
+
+def test_homes_that_were_counted_apart_give_the_figures_of_all():
+    rng = np.random.default_rng(3)
+    one, two, three = counted(rng), counted(rng), counted(rng)
+    left, right = Evaluation(), Evaluation()
+    for part in (one, two, three):
+        left.merge(part)
+    two.merge(three)
+    right.merge(one)
+    right.merge(two)
+    assert left.as_json() == right.as_json()
+    assert left.seeds == right.seeds and len(left.seeds) == 3
+    assert left.tallies["objects"].said == one.tallies["objects"].said + two.tallies["objects"].said
+    total = sum(part.semantics.said.total() for part in (one, two))  # of which two holds three's
+    assert left.semantics.said.total() == total == 150
