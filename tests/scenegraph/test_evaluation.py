@@ -530,7 +530,8 @@ def test_homes_that_were_counted_apart_give_the_figures_of_all():
     right.merge(one)
     right.merge(two)
     assert left.as_json() == right.as_json()
-    assert left.seeds == right.seeds and len(left.seeds) == 3
+    assert left.seeds == right.seeds
+    assert len(left.seeds) == 3
     assert left.tallies["objects"].said == one.tallies["objects"].said + two.tallies["objects"].said
     total = sum(part.semantics.said.total() for part in (one, two))  # of which two holds three's
     assert left.semantics.said.total() == total == 150
