@@ -32,6 +32,10 @@ WALL_WIDTH_M = 2.2
 """An upright plane that is wider is of a wall, though not enough of it was seen to call it one."""
 FLAT_M = 0.1
 FLAT_SHARE = 0.95
+OF_WALL_M = (1.0, 0.6)
+"""So high and wide, what lies for the most part in the plane of a wall, or in a niche of it, is of the wall: a window
+that parts it, a leaf in its frame."""
+NICHE_M = 0.5
 LOW_VOXELS = 1.3
 """What stands out of a wall or ceiling by less, in this share of its points, is of it, two voxels at least; what rises
 above a floor by less lies on it as a rug does."""
@@ -303,7 +307,7 @@ def role_of(label: str, plane: Plane) -> Role | None:
 
 def lies_flat(points: Array, component_id: int, clusters: ClusterMap, planes: PlaneMap) -> bool:
     """Whether points (N, 3) [m] of a component stand out of a wall, floor or ceiling that is beside it by no more than
-    mouldings, door frames and noise do, or are the rim of a table top."""
+    mouldings, door frames and noise do, or are the rim of a table top, or are part of a wall."""
     voxel = clusters.voxel_size_m
     beside = clusters.planes_near(component_id, planes, "structure", "support")
     normals, offsets = planes.equations(beside)
@@ -312,7 +316,14 @@ def lies_flat(points: Array, component_id: int, clusters: ClusterMap, planes: Pl
     low = np.where(raised, planes.tolerance_m, LOW_VOXELS * voxel)
     most = np.where(normals[:, 2] > LEVEL, low, max(FLAT_M, 2.0 * voxel))
     behind = above.min(axis=0) > -(most + RIM_M + voxel)
-    return bool((behind & ((above < most).mean(axis=0) >= FLAT_SHARE)).any())
+    if bool((behind & ((above < most).mean(axis=0) >= FLAT_SHARE)).any()):
+        return True
+    walls = np.flatnonzero(~raised & (np.abs(normals[:, 2]) < UPRIGHT) & (above.min(axis=0) > -NICHE_M))
+    along = normals[walls, :2][:, ::-1] * (-1.0, 1.0)
+    wide = np.ptp(points[:, :2] @ along.T.astype(np.float32), axis=0)
+    in_plane = (above[:, walls] < most[walls]).mean(axis=0) >= 0.5
+    high, least = float(np.ptp(points[:, 2])), OF_WALL_M
+    return high >= least[0] and bool((in_plane & (wide >= least[1])).any())
 
 
 def shape_of(component_id: int, clusters: ClusterMap, planes: PlaneMap) -> Shape | None:

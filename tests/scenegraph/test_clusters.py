@@ -198,6 +198,26 @@ def test_scans_show_the_things_in_a_room_and_no_others() -> None:
         assert len(unnamed(world)) <= len(found) + 1
 
 
+def test_a_window_in_its_niche_is_of_the_wall_and_what_stands_before_the_wall_is_not() -> None:
+    """The wall at y = 4 is parted by a window of 1.6 m × 1.2 m that lies 0.3 m behind its face."""
+    about = [b for b in shell((0.0, 0.0), (4.0, 4.0)) if b.center[1] < 4.0]
+    parted = [
+        Block("wall", (0.5, 4.2, 1.2), (1.4, 0.4, 2.4)),
+        Block("wall", (3.4, 4.2, 1.2), (1.6, 0.4, 2.4)),
+        Block("wall", (1.9, 4.2, 0.4), (1.6, 0.4, 0.8)),
+        Block("wall", (1.9, 4.2, 2.2), (1.6, 0.4, 0.4)),
+        Block("window", (1.9, 4.35, 1.4), (1.6, 0.1, 1.2)),
+    ]
+    wardrobe = Block("wardrobe", (3.3, 3.75, 0.9), (1.0, 0.5, 1.8), 1)
+    scene = Scene((*about, *parted, wardrobe))
+    with World() as world:
+        for n, pose in enumerate(round_the_room()):
+            world.integrate(scene.image(pose, n + 1, labelled=False))
+        for n, x in enumerate(np.linspace(0.8, 3.2, 9).tolist()):
+            world.integrate(scene.image(looking_at((x, 1.2, 1.5), (1.9, 4.0, 1.4)), 100 + n, labelled=False))
+        assert [node.id for node in unnamed(world)] == [matches(world, scene)[1]]
+
+
 # -- identity ----------------------------------------------------------------------------------------------------------
 
 
