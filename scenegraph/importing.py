@@ -10,6 +10,7 @@ from reasoning.knowledge import KnowledgeBase
 from reasoning.terms import Atom
 from scenegraph import facts
 from scenegraph.answers import Answers
+from scenegraph.errors import StoreForeign
 from scenegraph.graph import SceneGraph
 from scenegraph.interop import read_graph
 from scenegraph.store import load_graph
@@ -68,10 +69,18 @@ class GraphFile:
 
 
 def open_map(path: Path) -> World | GraphFile:
-    """A stored world, or a graph of another format, which is text. Raises StoreError, GraphUnreadable."""
+    """A stored world, a stored graph without a map, or a graph of another format, which is text.
+
+    Raises StoreError, GraphUnreadable.
+    """
     from scenegraph.world import World
 
-    return GraphFile.load(path) if _is_text(path) else World.load(path)
+    if _is_text(path):
+        return GraphFile.load(path)
+    try:
+        return World.load(path)
+    except StoreForeign:
+        return GraphFile(load_graph(path))
 
 
 def graph_in(path: Path) -> SceneGraph:

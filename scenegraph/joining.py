@@ -15,8 +15,9 @@ decides ids and names, but not what there is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain, count
 from typing import Any
 
 import shapely
@@ -26,7 +27,7 @@ from scenegraph.errors import InvalidGraphValue
 from scenegraph.graph import LAYERS, Box, Edge, EdgeKey, GraphChanges, Node, SceneGraph, valid_identifier
 from scenegraph.matching import Match, match
 from scenegraph.registering import Alignment, register
-from scenegraph.rigid import moved
+from scenegraph.rigid import moved, moved_edge
 
 __all__ = ["Conflict", "JoinReport", "Joined", "join"]
 
@@ -135,6 +136,7 @@ class _Join:
         self._name = name
         self._changes = GraphChanges()
         self._ids: dict[str, str] = {}
+        self._storey_number: dict[int, int] = {}
         self._placed_by_them: set[str] = set()
         self._joined: list[Joined] = []
         self._added: list[str] = []
@@ -151,13 +153,20 @@ class _Join:
         for layer in LAYERS:
             ours = self._ours.nodes(layer)
             theirs = [moved(node, self._T) for node in self._theirs.nodes(layer)]
-            for pair in match(ours, theirs, layer, self._known_as):
-                self._join(ours[pair.ours], theirs[pair.theirs], pair)
-            for node in theirs:
-                if node.id not in self._ids:
-                    self._add(node)
+            pairs = match(ours, theirs, layer, self._known_as)
+            self._ids.update((theirs[pair.theirs].id, ours[pair.ours].id) for pair in pairs)
+            added = [node for node in theirs if node.id not in self._ids]
+            for node in added:
+                self._ids[node.id] = self._free(node)
+                self._new.add(self._ids[node.id])
+            if layer == "storey":
+                self._number_storeys(theirs)
+            for pair in pairs:
+                self._join(ours[pair.ours], self._in_our_words(theirs[pair.theirs]), pair)
+            for node in added:
+                self._add(self._in_our_words(node))
         counts = _Edges(self._ours, self._changes, self._ids, self._placed_by_them, self._conflicts).carry_over(
-            self._theirs
+            self._theirs, self._T
         )
         for stone in self._theirs.tombstones():
             heir = self._theirs.successor(stone.id)
@@ -176,11 +185,34 @@ class _Join:
         )
         return self._changes, report
 
+    def _number_storeys(self, theirs: Sequence[Node]) -> None:
+        """Which number each of their storeys has here: that of ours which it is, or a new one."""
+        ours = {node.id: node.attributes.get("number") for node in self._ours.nodes("storey")}
+        free = count(1 + max((n for n in ours.values() if isinstance(n, int)), default=0))
+        for node in theirs:
+            number = node.attributes.get("number")
+            if isinstance(number, int):
+                known = ours.get(self._ids[node.id])
+                taken = {*ours.values(), *self._storey_number.values()}
+                new = next(n for n in chain((number,), free) if n not in taken)
+                self._storey_number[number] = known if isinstance(known, int) else new
+
+    def _in_our_words(self, node: Node) -> Node:
+        """A node of theirs, with what its attributes name under the names that it has here."""
+        attributes = dict(node.attributes)
+        for name in ("number",) if node.layer == "storey" else ("storey",):
+            number = attributes.get(name)
+            if isinstance(number, int):
+                attributes[name] = self._storey_number.get(number, number)
+        if "split_from" in attributes:
+            whole = self._theirs.successor(str(attributes.pop("split_from")))
+            if whole is not None and whole.id in self._ids:
+                attributes["split_from"] = self._ids[whole.id]
+        return node if attributes == node.attributes else node.replace(attributes=attributes)
+
     def _add(self, node: Node) -> None:
-        new_id = self._free(node)
-        self._ids[node.id] = new_id
+        new_id = self._ids[node.id]
         self._added.append(new_id)
-        self._new.add(new_id)
         attributes = self._with_alias(dict(node.attributes), new_id, node.id)
         self._changes.put(Node(**{**node.__dict__, "id": new_id, "attributes": attributes}))
 
@@ -202,7 +234,6 @@ class _Join:
         return {**attributes, "known_as": sorted(known)}
 
     def _join(self, ours: Node, theirs: Node, pair: Match) -> None:
-        self._ids[theirs.id] = ours.id
         theirs_wins, why = _better(theirs, ours, pair.distance_m)
         best, other = (theirs, ours) if theirs_wins else (ours, theirs)
         if theirs_wins:
@@ -332,11 +363,12 @@ class _Edges:
         self._deleted: set[EdgeKey] = set()
         self._refused: set[EdgeKey] = set()
 
-    def carry_over(self, theirs: SceneGraph) -> tuple[int, int, int]:
+    def carry_over(self, theirs: SceneGraph, T_ours_theirs: SE3) -> tuple[int, int, int]:
         """Put them; returns how many were new, in both, and left out."""
         self._layer |= {self._ids[node.id]: node.layer for node in theirs}
         added = shared = dropped = 0
-        for edge in sorted(theirs.edges(), key=lambda edge: edge.relation in ("contains", "supports")):
+        for there in sorted(theirs.edges(), key=lambda edge: edge.relation in ("contains", "supports")):
+            edge = moved_edge(there, T_ours_theirs, float(theirs.node(there.source).position[2]))
             source, target = self._ids[edge.source], self._ids[edge.target]
             key = EdgeKey(edge.relation, source, target)
             known = self._put.get(key) or self._ours.edge(*key)

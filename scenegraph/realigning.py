@@ -27,9 +27,19 @@ from mapping.observations import PoseCorrection
 from scenegraph.errors import InvalidGraphValue
 from scenegraph.graph import Delta, Edge, EdgeKey, GraphChanges, Node, SceneGraph
 from scenegraph.relating import Thresholds, follow
-from scenegraph.rigid import moved
+from scenegraph.rigid import moved, moved_edge
 
-__all__ = ["Corrections", "Sighting", "Sightings", "alike", "carried", "motions", "realign", "shares_in"]
+__all__ = [
+    "Corrections",
+    "Sighting",
+    "Sightings",
+    "alike",
+    "carried",
+    "carried_edges",
+    "motions",
+    "realign",
+    "shares_in",
+]
 
 MOST_SIGHTINGS = 8
 """So many times at which it was seen are kept of each node; the closest ones become one that weighs as much as both."""
@@ -205,6 +215,18 @@ def carried(graph: SceneGraph, moves: Mapping[str, SE3], corrections: Correction
     return nodes
 
 
+def carried_edges(graph: SceneGraph, moves: Mapping[str, SE3]) -> list[Edge]:
+    """The edges with a place of their own, as they are after the motions of what they begin at."""
+    edges = graph.edges_at([node_id for node_id in moves if node_id in graph], ("connects",))
+    found = []
+    for edge in edges:
+        if edge.source in moves:
+            now = moved_edge(edge, moves[edge.source], float(graph.node(edge.source).position[2]))
+            if now is not edge:
+                found.append(now)
+    return found
+
+
 def realign(
     graph: SceneGraph,
     corrections: Corrections,
@@ -219,6 +241,8 @@ def realign(
     changes = GraphChanges()
     for node in carried(graph, moves, corrections):
         changes.put(node)
+    for edge in carried_edges(graph, moves):
+        changes.put(edge)
     anew = GraphChanges()
     anew.extend(changes)
     follow(graph, anew, thresholds)

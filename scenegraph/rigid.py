@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from mapping.geometry import SE3
-from scenegraph.graph import Box, Node
+from scenegraph.graph import Box, Edge, Node
 
-__all__ = ["moved", "moved_box"]
+__all__ = ["moved", "moved_box", "moved_edge"]
 
 _HEIGHTS = ("floor_z", "ceiling_z")
 _DIGITS = 6  # of corners, in metres: far below what is measured
@@ -36,6 +36,19 @@ def moved(node: Node, T: SE3) -> Node:
     if box is not None and node.layer in ("room", "storey", "building"):
         box = _about(box, attributes.get("footprint"))
     return node.replace(position=position, box=box, attributes=attributes)
+
+
+def moved_edge(edge: Edge, T: SE3, height: float) -> Edge:
+    """The edge carried along: of its attributes the place `at` [x, y], which lies at this height [m]."""
+    place = edge.attributes.get("at")
+    try:
+        x, y = np.array(place, np.float64)
+    except (TypeError, ValueError):
+        return edge
+    if T.isclose(SE3.identity(), atol=0.0):
+        return edge
+    at = np.round((T @ np.array((x, y, height)))[:2], _DIGITS).tolist()
+    return edge.replace(attributes={**edge.attributes, "at": at})
 
 
 def _about(box: Box, footprint: Any) -> Box:

@@ -32,7 +32,7 @@ from scenegraph.perception.relations import MeasurementChange, Relations
 from scenegraph.perception.rooms import Rooms
 from scenegraph.perception.shapes import Shape
 from scenegraph.perception.structure import Structure
-from scenegraph.realigning import Corrections, alike, carried, shares_in
+from scenegraph.realigning import Corrections, alike, carried, carried_edges, shares_in
 from scenegraph.rigid import moved
 from scenegraph.statements import FORMS, Statement
 
@@ -128,6 +128,8 @@ class Perception:
         changes = GraphChanges()
         for node in carried(graph, moves, corrections):
             changes.put(node)
+        for edge in carried_edges(graph, moves):
+            changes.put(edge)
         things = moves.keys() & self.objects.shapes.keys()
         before = self.relations.between(things)
         for thing in things:

@@ -27,6 +27,8 @@ from scenegraph.interop import (
     render_graph,
     spark_dsg_document,
 )
+from scenegraph.store import save_graph
+from scenegraph.world import World
 
 SEEN = {"first_seen_ns": 1_700_000_000_000_000_000, "last_seen_ns": 1_700_000_001_000_000_001}
 
@@ -256,6 +258,16 @@ def test_a_graph_from_a_file_can_be_asked(tmp_path: Path) -> None:
         assert {row["X"].id for row in asked.ask("in(X, room_0)")} == {"object_3", "object_12"}
         assert asked.ask("on(object_3, table)").truth == "true"
         assert asked.ask("object(X), label(X, table)").truth == "true"
+
+
+def test_a_stored_graph_without_a_map_can_be_asked_and_is_no_world(tmp_path: Path) -> None:
+    save_graph(path := tmp_path / "home.sgm", home())
+    with open_map(path) as asked:
+        assert isinstance(asked, GraphFile)
+        assert asked.ask("on(object_3, table)").truth == "true"
+    with pytest.raises(StoreForeign, match="without a map") as caught:
+        World.load(path)
+    assert "ask --map" in str(caught.value.hint)
 
 
 def test_a_graph_from_a_file_can_be_converted_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -246,6 +246,52 @@ def test_a_thing_in_two_rooms_is_in_that_of_the_better_sight() -> None:
     assert report.edges_dropped == 2
 
 
+def two_storeys(first: int) -> SceneGraph:
+    """A room on each of two storeys, of which the lower has this number, a way between them and a part of a thing."""
+    times = {"first_seen_ns": 0, "last_seen_ns": 1}
+    changes = GraphChanges()
+    for height, number in ((0.0, first), (3.0, 3 - first)):
+        about = {"storey": number, "footprint": [[0, 0], [4, 0], [4, 3], [0, 3]], "floor_z": height}
+        changes.put(
+            Node(
+                id=f"storey_{number}", layer="storey", label="storey", position=(2, 1.5, height),
+                attributes={"number": number, "floor_z": height}, **times,
+            )
+        )  # fmt: skip
+        changes.put(
+            Node(id=f"room_{number}", layer="room", label="room", position=(2, 1.5, height), attributes=about, **times)
+        )
+    changes.put(Node(id="stairs_1", layer="structure", label="stairs", position=(1, 1, 1.5), **times))
+    for number in (1, 2):
+        changes.put(
+            Edge(
+                relation="connects", source="stairs_1", target=f"room_{number}", attributes={"at": [1.0, 1.0]}, **times
+            )
+        )
+    part = {"split_from": "object_1"}
+    changes.put(Node(id="object_1", layer="object", label="rack", position=(3, 2, 0.5), **times))
+    changes.put(Node(id="object_2", layer="object", label="crate", position=(3, 1, 0.5), attributes=part, **times))
+    graph = SceneGraph()
+    graph.commit(changes, 1)
+    return graph
+
+
+def test_what_names_a_storey_a_thing_or_a_place_of_their_map_names_ours() -> None:
+    T = turned(0.5 * math.pi, 10.0, 0.0, 0.0)
+    whole, report = joined(SceneGraph(), two_storeys(1), T, name="spot")
+    for edge in whole.edges("connects"):
+        assert edge.attributes["at"] == pytest.approx([9.0, 1.0])
+    assert whole.node(report.ids["object_2"]).attributes["split_from"] == report.ids["object_1"]
+    whole, report = joined(two_storeys(2), two_storeys(1), T=SE3.identity(), name="spot")
+    assert {node.id: node.attributes["storey"] for node in whole.nodes("room")} == {"room_2": 2, "room_1": 1}
+    far, report = joined(two_storeys(1), two_storeys(1), turned(0.0, 0.0, 0.0, 20.0), name="spot")
+    storey_of = {node.id: node.attributes["number"] for node in far.nodes("storey")}
+    assert sorted(storey_of.values()) == [1, 2, 3, 4]
+    for number in (1, 2):
+        room = far.node(report.ids[f"room_{number}"])
+        assert room.attributes["storey"] == storey_of[report.ids[f"storey_{number}"]]
+
+
 def test_a_room_seen_in_halves_becomes_whole() -> None:
     def half(x0: float, x1: float) -> SceneGraph:
         changes = GraphChanges()

@@ -15,7 +15,7 @@ from mapping.geometry import SE3
 from mapping.observations import AgentPose, CorrectedPose, PoseCorrection, RgbdImage
 from reasoning.knowledge import KnowledgeBase
 from scenegraph.errors import InvalidGraphValue
-from scenegraph.graph import Box, Delta, GraphChanges, Node, SceneGraph, Tombstone
+from scenegraph.graph import Box, Delta, Edge, GraphChanges, Node, SceneGraph, Tombstone
 from scenegraph.graph.delta import NodeChanges
 from scenegraph.realigning import MOST_SIGHTINGS, Corrections, Sightings, carried, motions, realign
 from scenegraph.relating import Thresholds, relate
@@ -206,6 +206,29 @@ def test_what_another_robot_saw_counts_against_it() -> None:
     sightings.restore({"object_1": [["spot", 10, 1.0], ["tiago", 20, 3.0]]})
     moves = motions(graph, correction((0, turned(0.0, 1.0))), sightings)
     assert moves["object_1"].translation.tolist() == pytest.approx([0.25, 0, 0])
+
+
+def test_the_place_of_a_way_between_rooms_goes_with_it(thresholds: Thresholds) -> None:
+    door = thing("object_1", 1.0, 100, 200, label="door")
+    rooms = [
+        Node(id=f"room_{n}", layer="room", label="room", position=(n, 0, 0), first_seen_ns=100, last_seen_ns=200)
+        for n in (1, 2)
+    ]
+    graph = graph_of(door, *rooms)
+    changes = GraphChanges()
+    for room in rooms:
+        way = {"at": [1.0, 0.0], "open": True}
+        changes.put(
+            Edge(
+                relation="connects", source=door.id, target=room.id, attributes=way, first_seen_ns=100,
+                last_seen_ns=200,
+            )
+        )  # fmt: skip
+    graph.commit(changes, 2)
+    graph.commit(realign(graph, correction((50, turned(np.pi / 2, 3.0))), thresholds), 3)
+    for edge in graph.edges("connects"):
+        assert edge.attributes["at"] == pytest.approx([3.0, 1.0])
+        assert edge.attributes["open"] is True
 
 
 def test_relations_are_inferred_anew_between_what_did_not_move_alike(thresholds: Thresholds) -> None:
