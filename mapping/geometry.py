@@ -17,6 +17,8 @@ from mapping.errors import InvalidParameter
 Array: TypeAlias = NDArray[Any]
 
 _ROTATION_TOLERANCE = 1e-4  # poses arrive as float32 and as text with four decimals
+_ROUNDING = 1e-12  # rotations that are farther off than by rounding are mended
+_IDENTITY = np.eye(3)
 
 
 def hat(w: ArrayLike) -> Array:
@@ -56,13 +58,22 @@ class SE3:
                 f"pose: expected an orthonormal right-handed rotation, got R·Rᵀ off by {error:.2g}, "
                 f"determinant {np.linalg.det(r):.3g}"
             )
-        if error > 1e-12:
+        if error > _ROUNDING:
             u, _, vt = np.linalg.svd(r)
             r = u @ vt
         r.setflags(write=False)
         t.setflags(write=False)
         self._rotation = r
         self._translation = t
+
+    @staticmethod
+    def _proper(rotation: Array, translation: Array) -> SE3:
+        """Of parts that are fresh and right by how they were computed: nothing is checked."""
+        made = object.__new__(SE3)
+        rotation.setflags(write=False)
+        translation.setflags(write=False)
+        made._rotation, made._translation = rotation, translation
+        return made
 
     # -- construction -------------------------------------------------------------------------------------
     @staticmethod
@@ -101,10 +112,14 @@ class SE3:
     @staticmethod
     def exp(xi: ArrayLike) -> SE3:
         """The transform reached by the twist `xi` (6,): x, y, z [m], roll, pitch, yaw [rad]."""
-        v, w = np.split(np.asarray(xi, dtype=np.float64), 2)
-        a, b, c = _so3_coefficients(float(np.linalg.norm(w)))
+        twist = np.asarray(xi, dtype=np.float64)
+        if twist.shape != (6,) or not np.isfinite(twist).all():
+            raise InvalidParameter(f"xi: expected six finite numbers, got {twist.tolist()}")
+        v, w = twist[:3], twist[3:]
+        a, b, c = _so3_coefficients(float(np.sqrt(w @ w)))
         k = hat(w)
-        return SE3(np.eye(3) + a * k + b * k @ k, (np.eye(3) + b * k + c * k @ k) @ v)
+        squared = k @ k
+        return SE3._proper(_IDENTITY + a * k + b * squared, (_IDENTITY + b * k + c * squared) @ v)
 
     # -- parts --------------------------------------------------------------------------------------------
     @property
@@ -145,7 +160,8 @@ class SE3:
 
     # -- algebra ------------------------------------------------------------------------------------------
     def inverse(self) -> SE3:
-        return SE3(self._rotation.T, -self._rotation.T @ self._translation)
+        turned = self._rotation.T.copy()
+        return SE3._proper(turned, -turned @ self._translation)
 
     def log(self) -> Array:
         """The twist (6,) x, y, z [m], roll, pitch, yaw [rad] with `SE3.exp(T.log()) == T`; rotation angle below π."""
@@ -156,7 +172,7 @@ class SE3:
         rotation_vector = scale * np.array([x, y, z])
         _, b, c = _so3_coefficients(angle)
         k = hat(rotation_vector)
-        left_jacobian = np.eye(3) + b * k + c * k @ k
+        left_jacobian = _IDENTITY + b * k + c * k @ k
         return np.concatenate([np.linalg.solve(left_jacobian, self._translation), rotation_vector])
 
     def interpolate(self, other: SE3, share: float) -> SE3:
@@ -169,7 +185,11 @@ class SE3:
     def __matmul__(self, other: Array) -> Array: ...
     def __matmul__(self, other: SE3 | Array) -> SE3 | Array:
         if isinstance(other, SE3):
-            return SE3(self._rotation @ other._rotation, self._rotation @ other._translation + self._translation)
+            rotation = self._rotation @ other._rotation
+            translation = self._rotation @ other._translation + self._translation
+            if abs(rotation @ rotation.T - _IDENTITY).max() > _ROUNDING:  # many products drift
+                return SE3(rotation, translation)
+            return SE3._proper(rotation, translation)
         points = np.asarray(other)
         dtype = np.float32 if points.dtype == np.float32 else np.float64
         return np.asarray(points @ self._rotation.T.astype(dtype) + self._translation.astype(dtype))
