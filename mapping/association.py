@@ -23,6 +23,10 @@ CERTAINTY = 5.0
 SAME_OVERLAP = 0.45
 OTHER_OVERLAP = 0.85
 """… from even odds at these sums of both, where the classes agree and where not."""
+COLOR_CERTAINTY = 10.0
+LIKE_COLORS = 0.8
+"""… and fall by so much with how much less alike their colours are than those of nearly all masks of one thing: of 2000
+masks of simulated things, 95 % were more like their instance than this, 15 % of those of others."""
 LEAST_HITS = 5
 """An overlap of fewer pixels looked at tells nothing."""
 COVERED_SHARE = 0.6
@@ -44,6 +48,7 @@ class Overlaps:
     hits (K,)             pixels of the mask on the instance
     looked (n,)           pixels of each mask;  visible (K,)  pixels of the whole image on the instance
     same (K,)             bool: the mask's class is that of the instance
+    alike (K,)            how alike their colours are, 0 … 1; NaN where unknown
     """
 
     piece: Array
@@ -52,6 +57,7 @@ class Overlaps:
     looked: Array
     visible: Array
     same: Array
+    alike: Array
 
     @property
     def of_mask(self) -> Array:
@@ -67,6 +73,7 @@ class Overlaps:
     def log_odds(self) -> Array:
         """(K,) logarithmic odds that the mask is the instance; −inf where too few pixels tell."""
         odds = CERTAINTY * (self.of_mask + self.of_instance - np.where(self.same, SAME_OVERLAP, OTHER_OVERLAP))
+        odds = odds - COLOR_CERTAINTY * np.fmax(LIKE_COLORS - self.alike, 0.0)
         return np.where(self.hits >= LEAST_HITS, odds, -np.inf)
 
 

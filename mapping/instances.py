@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapping.association import Overlaps, apart, assign, covered, doubted
+from mapping.colors import CELLS, likeness, no_colors, piece_colors
 from mapping.errors import MappingError
 from mapping.geometry import SE3, CameraIntrinsics
 from mapping.grid import ijk_to_centre, read_only
@@ -29,8 +30,6 @@ from mapping.segmentation import Segmentation
 from mapping.semantics import camera_row, pose_rows
 
 Array: TypeAlias = NDArray[Any]
-Tint: TypeAlias = tuple[float, float, float, float]
-NO_TINT: Tint = (0.0, 0.0, 0.0, 0.0)
 
 FULL_VIEW_PIXELS = 400.0
 """A mask of so many pixels is a whole vote for the class of its instance, times what the segmenter is sure of it."""
@@ -41,9 +40,15 @@ CONFIRMED_VIEWS = 2
 SLIP_S = 300.0
 """What was seen no more often, and that so long ago, tells nothing of what is seen there now."""
 STRANGERS = 3
-"""Masks of another class or colour in a row, that long after the last of its own: something else is in its place."""
-OTHER_CHROMA = 0.15
-"""Colours are different when their shares of red, green and blue lie so far apart, however bright they are."""
+"""So many more masks of other things, classes or colours than of its own, that long after it was seen last: something
+else is in its place."""
+OWN_AGAIN = 2
+"""So many more of its own: it is still there."""
+DISPLACED_SHARE = 0.5
+"""A mask may take the place of an instance when it holds so much of what is visible of it."""
+OTHER_COLORS = 0.6
+"""Colours less alike than this are not those of one thing: of 930 masks of three simulated homes, 1 % were less like
+their own instance, and two thirds of those of other colours less like one of its class."""
 DOUBTS_A_VIEW = 1
 """An instance is given up when there were more than so many images for each view of it in which it was looked at and
 not seen."""
@@ -64,8 +69,6 @@ FADED_WEIGHT = 0.01
 """A voxel that holds less than this as it fades is forgotten."""
 COUNTERS = 2
 """Instances that a voxel counts votes for, one by one."""
-TINT_STEP = 4
-"""Every so many-th row and column of an image tells the colours of instances."""
 SPARSE_RANGE_M = 5.0
 """Every other row and column of an image is enough where that leaves a pixel a voxel at this distance."""
 
@@ -78,11 +81,11 @@ class Instance:
     views   images in which it had a mask;  doubts  those in which it was looked at and had none
     number  by which its voxels know it; given to another when it has gone
     splits  images in which a second mask lay on it
-    own_ns  when a mask of its class and colour was seen last;  strangers  other masks since, long after
+    own_ns  when it was known to be there last;  strangers  long after: by how many there were more masks of other
+            things, classes or colours in its place than of its own
     labels  class id → votes (about: full views)
     slots   blocks in which it may have voxels
-    tint    mean red, green and blue (3,), 0 … 255, of the pixels of its masks, with how many [thousands] they are worth
-            (4,); all 0 where images had no colour
+    colors  (CELLS,) what its masks showed, see `mapping.colors`, each worth what its vote for the class is
     """
 
     id: int
@@ -96,7 +99,7 @@ class Instance:
     strangers: int = 0
     labels: dict[int, float] = field(default_factory=dict)
     slots: set[int] = field(default_factory=set)
-    tint: Tint = (0.0, 0.0, 0.0, 0.0)
+    colors: NDArray[np.float32] = field(default_factory=no_colors, compare=False)
 
     @property
     def label(self) -> int:
@@ -115,11 +118,13 @@ class Masks:
     pieces   (H, W) int32: 1 … n on masks, 0 elsewhere
     labels   (H, W) uint16: class ids of pixels to be believed, 0 elsewhere
     instance (n + 1,) the instance that each mask is, 0 for none; the first is 0
+    color    (H, W, 3) uint8, None where the image had none
     """
 
     pieces: Array
     labels: Array
     instance: Array
+    color: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -182,22 +187,23 @@ class InstanceMap(PackedLayer):
         )  # fmt: skip
         store.allocate(blocks)
         store.add(bare)
-        overlaps = self._overlaps(seen, cells, owners, pixels, offsets, T_map_camera)
+        colors = piece_colors(seen.pieces, seen.trust, len(seen), color)
+        overlaps = self._overlaps(seen, colors, cells, owners, pixels, offsets, T_map_camera)
         ids = assign(overlaps)
-        together = self._compare(overlaps, ids)
+        together = self._compare(overlaps, ids, stamp_ns)
         self._found(ids, seen.pixels)
-        tints = self._mask_tints(seen.pieces, len(seen), color)
         for piece, instance_id in enumerate(ids.tolist()):
             if instance_id:
                 worth = min(1.0, float(seen.pixels[piece]) / FULL_VIEW_PIXELS) * float(seen.confidence[piece])
-                self._witness(instance_id, int(seen.label[piece]), worth, tints[piece], stamp_ns)
+                self._witness(instance_id, int(seen.label[piece]), worth, colors[piece], stamp_ns)
+        touched = self._displace(overlaps, ids, cells, owners, stamp_ns)
         numbers = [BACKGROUND, *(self.instances[i].number if i else 0 for i in ids.tolist()), 0]
-        touched = self._vote(cells, np.array(numbers, np.uint16)[owners], votes, offsets)  # owner −1 is the last
+        touched |= self._vote(cells, np.array(numbers, np.uint16)[owners], votes, offsets)  # owner −1 is the last
         split = self._split(apart(overlaps, ids), ids, cells, owners)
         merged = self._merge(together)
         touched |= {*merged.values(), *split.values(), *self._give_up()}
         ids = np.array([0, *(merged.get(i, i) for i in ids.tolist())])
-        return InstanceChange(frozenset(touched), merged, split, Masks(seen.pieces, seen.labels, ids))
+        return InstanceChange(frozenset(touched), merged, split, Masks(seen.pieces, seen.labels, ids, color))
 
     def _step(self, intrinsics: CameraIntrinsics) -> int:
         return 2 if self.voxel_size_m * min(intrinsics.fx, intrinsics.fy) >= 2.0 * SPARSE_RANGE_M else 1
@@ -225,8 +231,9 @@ class InstanceMap(PackedLayer):
 
     # -- association --------------------------------------------------------------------------------------
     def _overlaps(
-        self, seen: Segmentation, cells: Array, owners: Array, pixels: Array, offsets: Array, T_map_camera: SE3
-    ) -> Overlaps:
+        self, seen: Segmentation, colors: Array, cells: Array, owners: Array, pixels: Array, offsets: Array,
+        T_map_camera: SE3,
+    ) -> Overlaps:  # fmt: skip
         store = self.store
         eye = np.asarray(T_map_camera.translation, np.float64) / self.voxel_size_m
         piece, number, hits, looked = kernels.count_overlaps(
@@ -237,10 +244,13 @@ class InstanceMap(PackedLayer):
         real = (number != BACKGROUND) & (piece > 0)
         piece, number, hits = piece[real] - 1, number[real], hits[real]
         instance = self._id_of[number]
-        label = np.array([self.instances[i].label for i in instance.tolist()], np.int64)
-        return Overlaps(piece, instance, hits, looked[1:], visible[number], label == seen.label[piece])
+        known = [self.instances[i] for i in instance.tolist()]
+        label = np.array([i.label for i in known], np.int64)
+        theirs = np.array([i.colors for i in known], np.float32).reshape(-1, CELLS)
+        alike = likeness(colors[piece], theirs)
+        return Overlaps(piece, instance, hits, looked[1:], visible[number], label == seen.label[piece], alike)
 
-    def _compare(self, overlaps: Overlaps, ids: Array) -> list[tuple[int, int]]:
+    def _compare(self, overlaps: Overlaps, ids: Array, stamp_ns: int) -> list[tuple[int, int]]:
         """Note what an image tells of pairs of instances and of those without a mask; returns pairs that may be one."""
         label_of = {i: self.instances[i].label for i in ids[ids > 0].tolist()}
         for pair in combinations(sorted(label_of), 2):  # two masks in one image: two things
@@ -248,6 +258,7 @@ class InstanceMap(PackedLayer):
                 self._together[pair] = max(self._together[pair] - 1, -APART_VIEWS)
         for instance_id in doubted(overlaps, ids):
             self.instances[instance_id].doubts += 1
+            self.instances[instance_id].strangers += stamp_ns - self.instances[instance_id].own_ns > SLIP_S * 1e9
             self._unsure.add(instance_id)
         return covered(overlaps, ids)
 
@@ -257,40 +268,27 @@ class InstanceMap(PackedLayer):
             ids[piece] = self._next_id
             self._next_id += 1
 
-    def _witness(self, instance_id: int, label: int, worth: float, tint: Tint, stamp_ns: int) -> None:
+    def _witness(self, instance_id: int, label: int, worth: float, colors: Array, stamp_ns: int) -> None:
         known = self.instances.get(instance_id)
         if known is None:
-            known = self._begin(Instance(instance_id, stamp_ns, stamp_ns, number=self._free_number()))
+            known = self._begin(Instance(instance_id, stamp_ns, stamp_ns, number=self._free_number(), own_ns=stamp_ns))
         if known.views <= CONFIRMED_VIEWS and stamp_ns - known.last_seen_ns > SLIP_S * 1e9:
-            known.views = known.doubts = 0
-            known.first_seen_ns, known.labels, known.tint = stamp_ns, {}, NO_TINT
+            known.views = known.doubts = known.strangers = 0
+            known.first_seen_ns = known.own_ns = stamp_ns
+            known.labels, known.colors = {}, no_colors()
         known.views += 1
         known.labels[label] = known.labels.get(label, 0.0) + worth
         self._classify(known)
-        if label == known.label and not _another_colour(known.tint, tint):
-            known.own_ns, known.strangers = stamp_ns, 0
+        certain = stamp_ns - known.own_ns <= SLIP_S * 1e9
+        if label == known.label and (certain or not _other_colors(known.colors, colors)):
             known.last_seen_ns = max(known.last_seen_ns, stamp_ns)
-            known.tint = _mixed(known.tint, tint)
-        elif stamp_ns - known.own_ns > SLIP_S * 1e9:
+            known.colors += worth * colors
+            known.strangers -= 1
+            if certain or known.strangers <= -OWN_AGAIN:
+                known.own_ns, known.strangers = max(known.own_ns, stamp_ns), 0
+        elif not certain:
             known.strangers += 1
             self._unsure.add(instance_id)
-
-    def _mask_tints(self, pieces: Array, n: int, color: Array | None) -> list[Tint]:
-        """The mean colour of each of n masks, and how many [thousand] pixels it is of; all 0 where there is no
-        colour."""
-        if color is None:
-            return [NO_TINT] * n
-        some = (slice(TINT_STEP // 2, None, TINT_STEP),) * 2
-        piece = pieces[some].ravel()
-        inside = np.flatnonzero(piece)
-        piece, shades = piece[inside] - 1, color[some].reshape(-1, 3)[inside]
-        counts = np.bincount(piece, minlength=n)
-        sums = np.stack([np.bincount(piece, shades[:, c], minlength=n) for c in range(3)], axis=1)
-        means = sums / np.maximum(counts, 1)[:, None]
-        return [
-            (red, green, blue, count * TINT_STEP**2 / 1000.0)
-            for (red, green, blue), count in zip(means.tolist(), counts.tolist(), strict=True)
-        ]
 
     def _begin(self, instance: Instance) -> Instance:
         self.instances[instance.id] = instance
@@ -313,13 +311,27 @@ class InstanceMap(PackedLayer):
         for one, other in together:
             pair = (min(one, other), max(one, other))
             self._together[pair] += 1
-            if pair[0] not in self.instances or pair[1] not in self.instances:
+            if pair[0] not in self.instances or pair[1] not in self.instances or self.replaced(*pair):
                 continue
             same = self.instances[pair[0]].label == self.instances[pair[1]].label
             if self._together[pair] >= (MERGE_VIEWS if same else MERGE_VIEWS_OTHER_CLASS):
                 self._absorb(*pair)
                 merged[pair[1]] = pair[0]
         return merged
+
+    def _displace(self, overlaps: Overlaps, ids: Array, cells: Array, owners: Array, stamp_ns: int) -> set[int]:
+        """Take from instances that were not seen for long what lies under masks of other things of other colours that
+        hide most of them; returns the ids."""
+        other = (overlaps.alike < OTHER_COLORS) & (ids[overlaps.piece] != overlaps.instance)
+        other &= overlaps.of_instance >= DISPLACED_SHARE
+        lost = set[int]()
+        for piece, instance_id in zip(overlaps.piece[other].tolist(), overlaps.instance[other].tolist(), strict=True):
+            old = self.instances[instance_id]
+            if ids[piece] and stamp_ns - old.own_ns > SLIP_S * 1e9:
+                rows = self._known_rows(cells[owners == piece + 1])
+                kernels.rename(self.store.fields["evidence"], rows, self._sizes, old.number, 0)
+                lost.add(instance_id)
+        return lost
 
     def _split(self, pairs: list[tuple[int, int]], ids: Array, cells: Array, owners: Array) -> dict[int, int]:
         """Give what masks, by index, hold of instances that are seen elsewhere in the image to their own instances,
@@ -369,7 +381,7 @@ class InstanceMap(PackedLayer):
         a.first_seen_ns, a.last_seen_ns = min(a.first_seen_ns, b.first_seen_ns), max(a.last_seen_ns, b.last_seen_ns)
         a.views += b.views
         a.own_ns = max(a.own_ns, b.own_ns)
-        a.tint = _mixed(a.tint, b.tint)
+        a.colors += b.colors
         for label, votes in b.labels.items():
             a.labels[label] = a.labels.get(label, 0.0) + votes
         self._classify(a)
@@ -383,6 +395,13 @@ class InstanceMap(PackedLayer):
     def were_apart(self, one: int, other: int) -> bool:
         """Whether images showed two instances with a mask each more often than both under one mask."""
         return self._together.get((min(one, other), max(one, other)), 0) < 0
+
+    def replaced(self, one: int, other: int) -> int:
+        """Which of two instances in one place has gone, 0 for none: the one that was not seen since long before the
+        other came, where their colours are not those of one thing."""
+        old, new = sorted((self.instances[one], self.instances[other]), key=lambda i: i.own_ns)
+        exchanged = new.first_seen_ns - old.own_ns > SLIP_S * 1e9 and _other_colors(old.colors, new.colors)
+        return old.id if exchanged else 0
 
     def n_voxels(self, instance_id: int) -> int:
         """In how many voxels an instance has the most votes, however few."""
@@ -429,7 +448,7 @@ class InstanceMap(PackedLayer):
             **super().state(),
             "table.next_id": np.array(self._next_id),
             "table.instances": np.array(rows, np.int64).reshape(-1, 9),
-            "table.tints": np.array([i.tint for i in known], np.float64).reshape(-1, 4),
+            "table.colors": np.array([i.colors for i in known], np.float32).reshape(-1, CELLS),
             "table.votes": np.array(votes, np.float64).reshape(-1, 3),
             "table.together": np.array([(*pair, n) for pair, n in self._together.items()], np.int64).reshape(-1, 3),
         }
@@ -440,8 +459,8 @@ class InstanceMap(PackedLayer):
         layer._next_id = int(state["table.next_id"])
         for row in state["table.instances"].tolist():
             layer._begin(Instance(*row))
-        for instance, tint in zip(layer.instances.values(), state["table.tints"].tolist(), strict=True):
-            instance.tint = tuple(tint)
+        for instance, colors in zip(layer.instances.values(), state["table.colors"], strict=True):
+            instance.colors = np.array(colors, np.float32)
         for id_, label, weight in state["table.votes"].tolist():
             layer.instances[int(id_)].labels[int(label)] = weight
         for instance in layer.instances.values():
@@ -527,20 +546,9 @@ class InstanceMap(PackedLayer):
         return cells, self.store.rows(cells)
 
 
-def _another_colour(a: Tint, b: Tint) -> bool:
-    """Whether both are known, and not shades of one colour."""
-    one, other = np.array(a[:3]), np.array(b[:3])
-    if min(a[3], b[3]) <= 0.0 or min(one.sum(), other.sum()) <= 0.0:
-        return False
-    return bool(np.linalg.norm(one / one.sum() - other / other.sum()) > OTHER_CHROMA)
-
-
-def _mixed(a: Tint, b: Tint) -> Tint:
-    """The colour of both together."""
-    worth = a[3] + b[3]
-    share = b[3] / worth if worth > 0.0 else 0.0
-    red, green, blue = (x + share * (y - x) for x, y in zip(a[:3], b[:3], strict=True))
-    return red, green, blue, worth
+def _other_colors(a: Array, b: Array) -> bool:
+    """Whether both are known, and hardly of one thing."""
+    return bool(likeness(a, b) < OTHER_COLORS)
 
 
 def _answers(n: int) -> tuple[NDArray[np.uint16], NDArray[np.float32], NDArray[np.float32]]:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.colors import no_colors
 from mapping.instances import Instance, InstanceChange, InstanceMap
 from mapping.view import DepthView
 from scenegraph.errors import InvalidStatement
 from scenegraph.graph import GraphChanges, Node, SceneGraph
 from scenegraph.perception.presence import Presence
-from scenegraph.perception.reappearance import SAME_PLACE_M, Known, Look, Reappearance
+from scenegraph.perception.reappearance import SAME_PLACE_M, Absent, Look, Reappearance
 from scenegraph.perception.shapes import Shape
 
 Array: TypeAlias = NDArray[Any]
@@ -89,16 +91,15 @@ class Objects:
                 self._depart(instance_id, instances, graph, stamp_ns, changes, reshaped)
         for node_id in sorted(doubted):
             instance_id = self._instance_of.get(node_id, 0)  # none, when it has just become another that has gone
-            if instance_id and self._has_gone(node_id, instances.instances[instance_id], instances, graph):
+            if instance_id and self.presence.gone(node_id, instances.instances[instance_id].views):
                 instances.release(instance_id)
                 self._depart(instance_id, instances, graph, stamp_ns, changes, reshaped)
-        taken_over = {self._instance_of.get(step.id) for step in changes.steps if isinstance(step, Node)}
-        for instance_id in sorted(change.touched - change.merged.keys() - taken_over):
+        for instance_id in sorted(change.touched - change.merged.keys()):
             if instance_id in instances.instances:
                 self._refresh(instances, instance_id, graph, stamp_ns, changes, reshaped)
-        self._recognise_newcomers(instances, graph, stamp_ns, changes, reshaped)
         for node_id in sorted(reshaped & self._instance_of.keys()):
-            self._merge_twins(node_id, instances, changes, reshaped)
+            self._merge_twins(node_id, instances, graph, stamp_ns, changes, reshaped)
+        self._recognise(instances, doubted, graph, stamp_ns, changes, reshaped)
         for node_id in sorted((doubted & self._instance_of.keys()) - reshaped):
             instance_id = self._instance_of[node_id]
             if instance_id not in change.touched and node_id in graph:
@@ -127,8 +128,12 @@ class Objects:
             instance_id = self._instance_of.get(node_id, 0)
             return instance_id if instance_id in known else 0
 
-        missed, found = self.presence.look(view, change.masks, behind, sure, stamp_ns)
+        missed, found = self.presence.look(view, change.masks, behind, sure, stamp_ns, self._colors_of)
         return missed | found
+
+    def _colors_of(self, node_id: str) -> Array:
+        look = self._looks.get(node_id)
+        return no_colors() if look is None else look.colors
 
     def _bury(self, lost: int, kept: str | None, changes: GraphChanges, reshaped: set[str]) -> None:
         """The node of an instance is no more: it was another's, or is of another layer now."""
@@ -143,85 +148,88 @@ class Objects:
         self, instance_id: int, instances: InstanceMap, graph: SceneGraph, stamp_ns: int, changes: GraphChanges,
         reshaped: set[str],
     ) -> None:  # fmt: skip
-        """The thing of an instance is where it was no more: it is one that appeared elsewhere since, or has gone."""
+        """The thing of an instance is where it was no more."""
         if instance_id not in self._node_of:
             return
         node_id = self._disown(instance_id)
         look = self._looks.get(node_id)
         self._drop(node_id)
         reshaped.add(node_id)
-        node = graph.node(node_id) if node_id in graph else None
-        if node is not None and look is not None and node.layer == "object":
-            now = self.reappearance.where_is(node, look, self._newcomers(node_id, instances, graph))
-            if now is not None:
-                self._take_over(node, now, instances, changes, reshaped, stamp_ns)
-                return
-            self.reappearance.leave(node, look, stamp_ns)
+        if node_id in graph and look is not None and graph.node(node_id).layer == "object":
+            self.reappearance.leave(graph.node(node_id), look, stamp_ns)
         changes.delete_node(node_id, "no longer seen")
 
-    def _has_gone(self, node_id: str, instance: Instance, instances: InstanceMap, graph: SceneGraph) -> bool:
-        """Whether a thing was looked for in vain often enough; once is, where it is seen elsewhere meanwhile."""
-        if self.presence.gone(node_id, instance.views):
-            return True
-        if node_id not in self.presence.suspects() or node_id not in graph:
-            return False
-        newcomers = self._newcomers(node_id, instances, graph)
-        return self.reappearance.where_is(graph.node(node_id), self._looks[node_id], newcomers) is not None
-
-    def _newcomers(self, gone: str, instances: InstanceMap, graph: SceneGraph) -> list[tuple[Node, Look, list[Known]]]:
-        """Nodes that may be a thing that has gone, as they look now, and what else each may be."""
-        label = graph.node(gone).label
-        found = [graph.node(i) for i in self.reappearance.newcomers if self.labels.get(i) == label and i in graph]
-        return [
-            (node, self._looks[node.id], [rival for rival in self._rivals(node, graph) if rival[0].id != gone])
-            for node in found
-            if self._instance_of.get(node.id) in instances.instances
-        ]
-
-    def _rivals(self, node: Node, graph: SceneGraph) -> list[Known]:
-        """Things of a newcomer's class that were not seen since it came: it may be any of them."""
-        return [
-            (known, self._looks[known.id])
-            for known in graph.nodes("object", label=node.label)
-            if known.last_seen_ns < node.first_seen_ns and known.id in self._instance_of and known.id != node.id
-        ]
-
-    def _recognise_newcomers(
-        self, instances: InstanceMap, graph: SceneGraph, stamp_ns: int, changes: GraphChanges, reshaped: set[str]
-    ) -> None:
-        """Look anew at who the newcomers are of which something was learnt: how they look, or who they are not."""
-        put = {step.id: step for step in changes.steps if isinstance(step, Node)}
-        seen = {node.label for node in put.values()}
-        for node_id in [i for i in self.reappearance.newcomers if self.labels.get(i) in seen]:
-            node = put.get(node_id) or (graph.node(node_id) if node_id in graph else None)
-            if node is not None and node_id in self._instance_of:
-                self._recognise(node, instances, graph, stamp_ns, changes, reshaped)
-
     def _recognise(
-        self, node: Node, instances: InstanceMap, graph: SceneGraph, stamp_ns: int, changes: GraphChanges,
+        self, instances: InstanceMap, doubted: set[str], graph: SceneGraph, stamp_ns: int, changes: GraphChanges,
         reshaped: set[str],
     ) -> None:  # fmt: skip
-        """A newcomer looks different now: is it something known that has gone, or that was just looked for in vain?"""
-        look = self._looks[node.id]
-        rivals = self._rivals(node, graph)
-        absent = self.reappearance.who_is(node, look, stamp_ns, rivals)
-        if absent is not None:
-            self._take_over(absent.node, node, instances, changes, reshaped, stamp_ns)
-            return
-        for suspect in sorted(self.presence.suspects()):
-            if self.labels.get(suspect) != node.label or suspect not in graph or suspect not in self._instance_of:
+        """Look anew at who the newcomers are of which something was learnt: how they look, or who has gone."""
+        put = {step.id: step for step in changes.steps if isinstance(step, Node)}
+        new = self.reappearance.newcomers
+        learnt = {self.labels[i] for i in put.keys() & new.keys() if i in self.labels}
+        learnt |= {graph.node(i).label for i in (reshaped - self.shapes.keys()) | doubted if i in graph}
+        for label in sorted(learnt):
+            came = [i for i in new if self.labels.get(i) == label and i in self._instance_of]
+            if not came:
                 continue
-            others = [rival for rival in rivals if rival[0].id != suspect]
-            known = graph.node(suspect)
-            if self.reappearance.where_is(known, self._looks[suspect], [(node, look, others)]) is not None:
-                instances.release(self._instance_of[suspect])
-                self._disown(self._instance_of[suspect])
-                self._take_over(known, node, instances, changes, reshaped, stamp_ns)
-                return
+            suspects = [
+                (graph.node(i), self._looks[i])
+                for i in sorted(self.presence.suspects() - new.keys())
+                if self.labels.get(i) == label and i in graph and i in self._instance_of
+            ]
+            now = {i: put[i] if i in put else graph.node(i) for i in came}
+            settled = self.reappearance.settle([(now[i], self._looks[i]) for i in came], suspects, stamp_ns)
+            if settled:
+                self._rename(settled, now, instances, graph, stamp_ns, changes, reshaped)
 
-    def _merge_twins(self, node_id: str, instances: InstanceMap, changes: GraphChanges, reshaped: set[str]) -> None:
+    def _rename(
+        self, settled: Mapping[str, Absent | None], now: Mapping[str, Node], instances: InstanceMap, graph: SceneGraph,
+        stamp_ns: int, changes: GraphChanges, reshaped: set[str],
+    ) -> None:  # fmt: skip
+        """Newcomers live on as the things that they turned out to be; None: as themselves."""
+        taken = {was.node.id for was in settled.values() if was is not None}
+        for node_id in sorted((taken & self._instance_of.keys()) - settled.keys()):
+            instances.release(self._instance_of[node_id])
+            self._disown(self._instance_of[node_id])
+            self._drop(node_id)
+        parts = {i: (self._instance_of[i], self.shapes[i], self._looks[i], self.labels[i]) for i in settled}
+        arrivals = {i: self.reappearance.newcomers[i] for i in settled}
+        for node_id, was in settled.items():
+            self._disown(parts[node_id][0])
+            self._drop(node_id)
+            reshaped.add(node_id)
+            mistaken = arrivals[node_id].was
+            if mistaken is None:
+                changes.delete_node(node_id, "the same thing, moved", became=None if was is None else was.node.id)
+            elif node_id not in taken:
+                self.reappearance.absent[node_id] = mistaken
+                changes.delete_node(node_id, "it was taken for another")
+        for node_id, was in settled.items():
+            instance_id, shape, look, label = parts[node_id]
+            node = Node(
+                id=self._name(instance_id, False, graph),
+                layer="object",
+                label=label,
+                position=now[node_id].position,
+                box=now[node_id].box,
+                first_seen_ns=arrivals[node_id].came_ns,
+                last_seen_ns=now[node_id].last_seen_ns,
+                attributes={key: now[node_id].attributes[key] for key in ("voxels", "views")},
+            )
+            if was is not None:
+                node = now_at(was.node, node, stamp_ns)
+            self.shapes[node.id], self._looks[node.id], self.labels[node.id] = shape, look, label
+            self._own(instance_id, node.id)
+            self.reappearance.know(node.id, replace(arrivals[node_id], was=was))
+            reshaped.add(node.id)
+            changes.put(node.replace(confidence=self._confidence(node.id, instances.instances[instance_id])))
+
+    def _merge_twins(
+        self, node_id: str, instances: InstanceMap, graph: SceneGraph, stamp_ns: int, changes: GraphChanges,
+        reshaped: set[str],
+    ) -> None:  # fmt: skip
         """Make a thing and others of its class one where they interpenetrate, unless images showed them side by side;
-        the one that was known first stays."""
+        the one that was known first stays. Where one came to the place of another, that has gone."""
         shape = self.shapes.get(node_id)
         if shape is None:
             return
@@ -235,30 +243,17 @@ class Objects:
             if large.box.contains(small.points, large.voxel_size_m).mean() < TWIN_SHARE:
                 continue
             one, two = self._instance_of[node_id], self._instance_of[other]
-            if instances.were_apart(one, two):
+            gone = instances.replaced(one, two)
+            if gone:
+                instances.release(gone)
+                self._depart(gone, instances, graph, stamp_ns, changes, reshaped)
+            if gone or instances.were_apart(one, two):
                 continue
             kept, lost = min(one, two), max(one, two)
             instances.join(kept, lost)
             lost_id = self._node_of[lost]
             self._bury(lost, self._node_of[kept], changes, reshaped)
             self.presence.place(lost_id, None)
-
-    def _take_over(
-        self, node: Node, now: Node, instances: InstanceMap, changes: GraphChanges, reshaped: set[str], stamp_ns: int
-    ) -> None:
-        """A node whose thing has gone lives on as one that appeared since: it was moved there."""
-        instance_id = self._instance_of[now.id]
-        self._disown(instance_id)
-        self.shapes[node.id], self.labels[node.id] = self.shapes[now.id], self.labels[now.id]
-        self._looks[node.id] = self._looks[now.id]
-        self._drop(now.id)
-        self._own(instance_id, node.id)
-        self.reappearance.absent.pop(node.id, None)
-        reshaped |= {node.id, now.id}
-        changes.put(
-            now_at(node, now, stamp_ns).replace(confidence=self._confidence(node.id, instances.instances[instance_id]))
-        )
-        changes.delete_node(now.id, "the same thing, moved", became=node.id)
 
     def _refresh(
         self, instances: InstanceMap, instance_id: int, graph: SceneGraph, stamp_ns: int, changes: GraphChanges,
@@ -296,29 +291,25 @@ class Objects:
             last_seen_ns=instance.last_seen_ns,
             attributes=attributes,
         )
-        look = Look.of(node, instance.tint)
+        look = Look.of(node, instance.colors)
         if node_id is not None:
             if node_id in graph:
                 node = node.replace(first_seen_ns=min(node.first_seen_ns, graph.node(node_id).first_seen_ns))
         else:
-            node = self._arrive(node, look, instance_id, graph, stamp_ns)
+            node = self._arrive(node, instance_id, graph, stamp_ns)
             reshaped.add(node.id)
         if self.labels.get(node.id) != label:
             reshaped.add(node.id)
         self.shapes[node.id], self.labels[node.id], self._looks[node.id] = shape, label, look
         changes.put(node.replace(confidence=self._confidence(node.id, instance)))
 
-    def _arrive(self, node: Node, look: Look, instance_id: int, graph: SceneGraph, stamp_ns: int) -> Node:
-        """A new node as what it is: a thing that was known before, part of another, or something new."""
+    def _arrive(self, node: Node, instance_id: int, graph: SceneGraph, stamp_ns: int) -> Node:
+        """A new node; it may be part of another, or a thing that was known before."""
         fresh = node.layer == "object" and node.id not in graph  # and not one that had no name until now
-        known = self.reappearance.who_is(node, look, stamp_ns, self._rivals(node, graph)) if fresh else None
-        if known is not None:
-            del self.reappearance.absent[known.node.id]
-            node = now_at(known.node, node, stamp_ns)
-        elif fresh and self._was_known(node, graph):
+        if fresh and (self._was_known(node, graph) or self.reappearance.misses(node.label)):
             self.reappearance.arrive(node, stamp_ns)
         whole = self._node_of.get(self._split_from.pop(instance_id, 0))
-        if known is None and whole is not None:
+        if whole is not None:
             node = node.replace(attributes={**node.attributes, "split_from": whole})
         self.labels[node.id] = node.label
         self._own(instance_id, node.id)
@@ -393,7 +384,7 @@ class Objects:
             shape = Shape.trimmed(points, weights, instances.voxel_size_m)
             if shape is not None:
                 self.shapes[name] = shape
-            self._looks[name] = Look.of(node, instances.instances[instance_id].tint)
+            self._looks[name] = Look.of(node, instances.instances[instance_id].colors)
             if name in self._instance_of:
                 self.presence.place(name, shape)
         self.presence.restore(document["doubts"])

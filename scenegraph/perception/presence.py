@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.colors import likeness, no_colors, point_colors
 from mapping.instances import Masks
 from mapping.view import DepthView
 from scenegraph.perception.shapes import Shape
@@ -40,6 +41,10 @@ MARGIN_M = 0.05
 MARGIN_SHARE = 0.015
 AROUND_RAD = 0.02
 """A point is seen through when the image sees so much farther, at its pixel and beside it: depth and pose err."""
+LIKE_COLORS = 0.8
+LIKE_LOOK = 0.25
+"""Where nothing is seen through and what is seen has the thing's colours, it is likely there, without a mask: a look
+counts so much only."""
 LEAST_PIXELS = 60.0
 """… and if these are fewer than so many, nothing: masks and poses may be off by as much."""
 CELL_M = 1.0
@@ -79,11 +84,13 @@ class Presence:
         instance_of: Callable[[str], int],
         sure: Iterable[int],
         stamp_ns: int,
+        colors_of: Callable[[str], Array] = lambda _: no_colors(),
     ) -> tuple[set[str], set[str]]:
         """What one image says: ids of the nodes that were looked for in vain, and of those that were doubted and seen.
 
         instance_of  the instance behind a node, 0 for none
         sure         instances that are well known: a mask of another that lies where a thing was may be its own
+        colors_of    the colours (CELLS,) of a node's thing
         """
         behind = {n: instance_of(n) for n in self._in_view(view)}
         near = sorted(n for n, instance in behind.items() if instance)
@@ -92,7 +99,7 @@ class Presence:
         counts = np.array([len(self._samples[n]) for n in near])
         owner = np.repeat(np.arange(len(near)), counts)
         instance = np.array([behind[n] for n in near])
-        other, visible, depth = _judge(
+        other, past, visible, depth, pixel = _judge(
             np.concatenate([self._samples[n] for n in near]), view, masks, instance[owner], np.fromiter(sure, np.int64)
         )
         n_visible, n_other = np.bincount(owner, visible, len(near)), np.bincount(owner, other, len(near))
@@ -105,10 +112,17 @@ class Presence:
         for node_id in found:
             del self.doubts[node_id]
         missed = set()
+        worth = np.minimum(1.0, pixels / FULL_LOOK_PIXELS)
+        if masks is not None and masks.color is not None and contrary.any():
+            seen_past = np.bincount(owner, past, len(near)) > (1.0 - CONTRARY_SHARE) * n_visible
+            some = np.flatnonzero(contrary[owner] & visible)
+            shown = point_colors(owner[some], len(near), masks.color.reshape(-1, 3)[pixel[some]])[contrary]
+            mine = np.array([colors_of(near[at]) for at in np.flatnonzero(contrary).tolist()])
+            worth[contrary] *= np.where(~seen_past[contrary] & (likeness(shown, mine) >= LIKE_COLORS), LIKE_LOOK, 1.0)
         for at in np.flatnonzero(contrary).tolist():
             node_id = near[at]
             if stamp_ns - self._looked_ns.get(node_id, -(10**18)) >= APART_S * 1e9:
-                self.doubts[node_id] = self.doubts.get(node_id, 0.0) + min(1.0, pixels[at] / FULL_LOOK_PIXELS)
+                self.doubts[node_id] = self.doubts.get(node_id, 0.0) + float(worth[at])
                 self._looked_ns[node_id] = stamp_ns
                 missed.add(node_id)
         return missed, found
@@ -163,9 +177,9 @@ def _cells(points: Array) -> list[tuple[int, int, int]]:
 
 def _judge(
     points: Array, view: DepthView, masks: Masks | None, instance: Array, sure: Array
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array, Array]:
     """Of points (n, 3) [m] of instances (n,): whether the image sees through each or shows something else there,
-    whether it shows the place at all, and its depth [m]."""
+    whether it sees through, whether it shows the place at all, its depth [m], and its pixel, as one number."""
     camera = view.camera
     x, y, z = (points @ camera[:9].reshape(3, 3).T + camera[9:12]).T
     height, width = view.reach.shape
@@ -188,6 +202,8 @@ def _judge(
         others = shown & ~seen_past & (whose != instance[at])
         others &= np.where(piece > 0, np.isin(whose, sure), label > 0)
         shown &= seen_past | (piece > 0) | (label > 0)
-    other, visible = np.zeros(len(points), bool), np.zeros(len(points), bool)
-    other[at], visible[at] = seen_past | others, shown
-    return other, visible, z
+    other, past, visible = (np.zeros(len(points), bool) for _ in range(3))
+    other[at], past[at], visible[at] = seen_past | others, seen_past, shown
+    pixel = np.zeros(len(points), np.int64)
+    pixel[at] = v * width + u
+    return other, past, visible, z, pixel

@@ -1,59 +1,72 @@
 """Is what appears here what has gone from there? Things keep their identity when they are carried elsewhere.
 
 A thing that was looked for in vain is remembered for a while. One that appears later, of its class, its size and its
-colours, is that thing: the best match of each, one to one.
+colours, is that thing. All that came and all that has gone are matched at once, one to one, so that they fit best
+together; and anew with every look while what came is new, so that it is not the order of looking that decides.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
+from mapping.colors import likeness, no_colors
 from scenegraph.graph import Node
 
 Array: TypeAlias = NDArray[Any]
-Known: TypeAlias = "tuple[Node, Look]"
 
 WINDOW_S = 7 * 86_400.0
 """How long what has gone may come back as itself."""
 MOST_REMEMBERED = 1000
-SIZE_LOG = 0.35
+SIZE_LOG = 0.15
 SIZE_M = 0.03
 """Edges of two boxes of one thing differ by this factor (natural logarithm), beside so many metres, …"""
-TINT = 30.0
-"""… and mean colours by so much (of 255), at one standard deviation each."""
-MOST_MISFIT = 2.5
-"""No more than this in standard deviations, all together, is taken for the same thing."""
+COLORS = 0.03
+"""… and colours fall short of being the same by so much, at one standard deviation each."""
+MOST_UNLIKE = 9.0
+"""No more than this, as a sum of squares of standard deviations, is taken for the same thing."""
+ELSEWHERE = 3.0
+FAR = 2.0
+FAR_M = 8.0
+"""What is not where it was is unlike it by so much, and by so much more when it is far from there."""
+DOUBTED = 1.0
+"""So much speaks against a thing that was looked for in vain, but not often enough to have gone."""
+SETTLED = 0.5
+"""What was taken for one thing becomes another when all fits together better by more than this."""
+UNSETTLED_S = 600.0
+"""What came is new for so long."""
 SAME_PLACE_M = 0.3
 """What appears no farther than this from where it was has not been moved."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Look:
-    """How a thing looks: edge lengths (3,) of its box, the longer horizontal one first [m], and its mean colour (3,),
-    None where it was seen without colour."""
+    """How a thing looks: edge lengths (3,) of its box, the longer horizontal one first [m], and its colours (CELLS,),
+    see `mapping.colors`; all 0 where it was seen without colour."""
 
     size: tuple[float, float, float]
-    tint: tuple[float, float, float] | None
+    colors: NDArray[np.float32]
 
     @staticmethod
-    def of(node: Node, tint: tuple[float, float, float, float]) -> Look:
+    def of(node: Node, colors: NDArray[np.float32]) -> Look:
         size = np.zeros(3) if node.box is None else node.box.size
         a, b, c = size.tolist()
-        return Look((max(a, b), min(a, b), c), tint[:3] if tint[3] > 0.0 else None)
+        return Look((max(a, b), min(a, b), c), colors.copy())
 
-    def misfit(self, other: Look) -> float:
-        """How many standard deviations two looks lie apart."""
-        a, b = np.array(self.size), np.array(other.size)
-        apart = np.maximum(np.abs(a - b) - SIZE_M, 0.0) / np.maximum(np.minimum(a, b), SIZE_M)
-        square = float(np.mean((np.log1p(apart) / SIZE_LOG) ** 2))
-        if self.tint is not None and other.tint is not None:
-            square += float(np.sum((np.array(self.tint) - np.array(other.tint)) ** 2)) / TINT**2
-        return float(np.sqrt(square))
+    def unlike(self, others: Sequence[Look]) -> NDArray[np.float64]:
+        """How unlike n others are, (n,): a sum of squares of standard deviations."""
+        if not others:
+            return np.empty(0)
+        edges = np.log(np.maximum([self.size, *(other.size for other in others)], SIZE_M))
+        size: NDArray[np.float64] = np.abs(edges[1:] - edges[0]).mean(axis=1) / SIZE_LOG
+        colors = (1.0 - likeness(self.colors, np.array([other.colors for other in others]))) / COLORS
+        unlike: NDArray[np.float64] = size + np.nan_to_num(colors)
+        return unlike
 
 
 @dataclass(frozen=True)
@@ -65,13 +78,21 @@ class Absent:
     left_ns: int
 
 
+@dataclass(frozen=True)
+class Arrival:
+    """When something came, and what it is taken for: something that had gone, or nothing known."""
+
+    came_ns: int
+    was: Absent | None = None
+
+
 class Reappearance:
     """Remembers what has gone, and what came since and may be it."""
 
     def __init__(self) -> None:
         self.absent: dict[str, Absent] = {}
-        self.newcomers: dict[str, int] = {}
-        """Node id → when it was first seen, of nodes that may turn out to be something known before."""
+        self.newcomers: dict[str, Arrival] = {}
+        """By node id; one that is taken for something that had gone has its id."""
 
     def leave(self, node: Node, look: Look, stamp_ns: int) -> None:
         """A thing has gone."""
@@ -82,64 +103,90 @@ class Reappearance:
 
     def arrive(self, node: Node, stamp_ns: int) -> None:
         """Something has appeared that is nothing known."""
-        self.newcomers[node.id] = node.first_seen_ns
-        window_ns = WINDOW_S * 1e9
+        self.newcomers[node.id] = Arrival(node.first_seen_ns)
         while (
-            stamp_ns - self.newcomers[oldest := next(iter(self.newcomers))] > window_ns
+            stamp_ns - self.newcomers[oldest := next(iter(self.newcomers))].came_ns > UNSETTLED_S * 1e9
             or len(self.newcomers) > MOST_REMEMBERED
         ):
             del self.newcomers[oldest]
 
-    def who_is(self, node: Node, look: Look, stamp_ns: int, rivals: Iterable[Known] = ()) -> Absent | None:
-        """The thing that a new node is, if it was known before and has gone.
+    def settle(
+        self, came: Sequence[tuple[Node, Look]], doubted: Sequence[tuple[Node, Look]], stamp_ns: int
+    ) -> dict[str, Absent | None]:
+        """What newcomers of one class, as they look now, are otherwise than was thought: their node id → what each was
+        before; None: nothing that is known.
 
-        rivals : things that are thought to be where they were, but were not seen lately; when it is rather one of them,
-                 time will tell
+        doubted : things of that class that at least one look did not find where they were
         """
-        likely = [
-            (_unlike(one.node, one.look, node, look), one.node.id, one)
+        arrivals = [self.newcomers[node.id] for node, _ in came]
+        gone = {one.was.node.id: one.was for one in arrivals if one.was is not None}
+        gone |= {
+            one.node.id: one
             for one in self.absent.values()
-            if one.node.label == node.label
-            and one.node.last_seen_ns < node.first_seen_ns
-            and stamp_ns - one.left_ns <= WINDOW_S * 1e9
-        ]
-        best = min(likely, default=None, key=lambda entry: entry[:2])
-        if best is None or best[0] > MOST_MISFIT or best[0] > _least(rivals, node, look):
-            return None
-        return best[2]
+            if one.node.label == came[0][0].label and stamp_ns - one.left_ns <= WINDOW_S * 1e9
+        }
+        sure = len(gone)
+        gone |= {node.id: Absent(node, look, stamp_ns) for node, look in doubted if node.id not in gone}
+        known = list(gone.values())
+        if not known:
+            return {}
+        gain = np.zeros((len(came), len(known)))
+        for row, ((node, look), arrival) in enumerate(zip(came, arrivals, strict=True)):
+            gain[row] = MOST_UNLIKE - look.unlike([one.look for one in known]) - _away(node, known)
+            gain[row, sure:] -= DOUBTED
+            gain[row] += [SETTLED * (one is arrival.was) for one in known]
+            gain[row, [one.node.last_seen_ns >= arrival.came_ns for one in known]] = 0.0
+        gain = np.maximum(gain, 0.0)
+        rows, columns = linear_sum_assignment(gain, maximize=True)
+        now = {int(r): known[c] for r, c in zip(rows, columns, strict=True) if gain[r, c] > 0.0}
+        return {
+            node.id: now.get(row)
+            for row, ((node, _), arrival) in enumerate(zip(came, arrivals, strict=True))
+            if now.get(row) is not arrival.was
+        }
 
-    def where_is(self, gone: Node, look: Look, nodes: Iterable[tuple[Node, Look, Iterable[Known]]]) -> Node | None:
-        """Of `nodes`, newcomers as they look now, each with its rivals, the one that a thing that has gone is now."""
-        likely = [
-            (_unlike(gone, look, node, theirs), node.id, node, _least(rivals, node, theirs))
-            for node, theirs, rivals in nodes
-            if node.label == gone.label and gone.last_seen_ns < node.first_seen_ns
-        ]
-        best = min((entry for entry in likely if entry[0] <= entry[3]), default=None, key=lambda entry: entry[:2])
-        return best[2] if best is not None and best[0] <= MOST_MISFIT else None
+    def know(self, node_id: str, arrival: Arrival) -> None:
+        """A newcomer is known under this id from now on, as what it was."""
+        self.newcomers[node_id] = arrival
+        self.absent.pop(node_id, None)
+
+    def misses(self, label: str) -> bool:
+        """Whether something of that class has gone."""
+        return any(one.node.label == label for one in self.absent.values())
 
     # -- state --------------------------------------------------------------------------------------------
     def document(self) -> dict[str, Any]:
         """What is remembered, as JSON values."""
-        absent = [
-            [one.node.model_dump(mode="json"), list(one.look.size), one.look.tint and list(one.look.tint), one.left_ns]
-            for one in self.absent.values()
-        ]
-        return {"absent": absent, "newcomers": self.newcomers}
+        return {
+            "absent": [_absent_document(one) for one in self.absent.values()],
+            "newcomers": [
+                [node_id, one.came_ns, one.was and _absent_document(one.was)] for node_id, one in self.newcomers.items()
+            ],
+        }
 
     def restore(self, document: Mapping[str, Any]) -> None:
         """Take over what `document` gave."""
-        for fields, (a, b, c), tint, left_ns in document["absent"]:
-            look = Look((a, b, c), None if tint is None else (tint[0], tint[1], tint[2]))
-            node = Node.model_validate(fields)
-            self.absent[node.id] = Absent(node, look, left_ns)
-        self.newcomers = dict(document["newcomers"])
+        self.absent = {one.node.id: one for one in map(_absent_of, document["absent"])}
+        self.newcomers = {
+            node_id: Arrival(came_ns, was and _absent_of(was)) for node_id, came_ns, was in document["newcomers"]
+        }
 
 
-def _unlike(a: Node, a_look: Look, b: Node, b_look: Look) -> float:
-    """How little one thing may be another: by its looks, and a little by the way between them."""
-    return a_look.misfit(b_look) + min(0.5, 0.1 * float(np.linalg.norm(a.position - b.position)))
+def _absent_document(one: Absent) -> list[Any]:
+    filled = np.flatnonzero(one.look.colors)
+    pairs = list(zip(filled.tolist(), one.look.colors[filled].tolist(), strict=True))
+    return [one.node.model_dump(mode="json"), list(one.look.size), pairs, one.left_ns]
 
 
-def _least(rivals: Iterable[Known], node: Node, look: Look) -> float:
-    return min((_unlike(known, theirs, node, look) for known, theirs in rivals), default=np.inf)
+def _absent_of(document: Sequence[Any]) -> Absent:
+    fields, (a, b, c), pairs, left_ns = document
+    look = Look((a, b, c), no_colors())
+    for cell, share in pairs:
+        look.colors[cell] = share
+    return Absent(Node.model_validate(fields), look, left_ns)
+
+
+def _away(node: Node, known: Sequence[Absent]) -> NDArray[np.float64]:
+    """What speaks against a node being each of the known (n,), by the way between them."""
+    way = np.linalg.norm(np.array([one.node.position for one in known]) - node.position, axis=1)
+    return np.asarray(ELSEWHERE * np.minimum(way / SAME_PLACE_M, 1.0) + FAR * np.minimum(way / FAR_M, 1.0))

@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from mapping.association import LEAST_HITS, Overlaps, apart, assign, covered, doubted
 
 
-def overlaps(*pairs: tuple[int, int, int, bool], looked: list[int], visible: dict[int, int]) -> Overlaps:
+def overlaps(
+    *pairs: tuple[int, int, int, bool], looked: list[int], visible: dict[int, int], alike: float = np.nan
+) -> Overlaps:
     """Of pairs of a mask, an instance, the pixels that both share, and whether they are of one class."""
     piece, instance, hits, same = (
         (np.array(column) for column in zip(*pairs, strict=True)) if pairs else [np.empty(0)] * 4
@@ -23,6 +25,7 @@ def overlaps(*pairs: tuple[int, int, int, bool], looked: list[int], visible: dic
         np.array(looked),
         seen,
         same.astype(bool),
+        np.full(len(piece), alike),
     )
 
 
@@ -47,6 +50,14 @@ def test_a_thing_given_the_class_of_its_neighbour_does_not_become_it() -> None:
 def test_all_masks_of_an_image_are_different_things() -> None:
     told = overlaps((0, 7, 90, True), (1, 7, 60, True), looked=[100, 100], visible={7: 150})
     assert assign(told).tolist() == [7, 0]
+
+
+def test_what_lies_where_a_thing_of_other_colours_was_is_another_and_unknown_colours_tell_nothing() -> None:
+    told = [
+        assign(overlaps((0, 7, 50, True), looked=[100], visible={7: 100}, alike=alike)).tolist()
+        for alike in (0.0, 0.9, 1.0, np.nan)
+    ]
+    assert told == [[0], [7], [7], [7]]
 
 
 def test_few_pixels_tell_nothing() -> None:
@@ -94,7 +105,7 @@ def test_assignment_is_likelier_than_any_single_exchange(seed: int, masks: int, 
     piece, column = np.nonzero(hits)
     told = Overlaps(
         piece, column + 11, hits[piece, column], hits.sum(axis=1) + 1, hits.sum(axis=0)[column] + 1,
-        rng.random(len(piece)) < 0.5,
+        rng.random(len(piece)) < 0.5, rng.random(len(piece)),
     )  # fmt: skip
     ids = assign(told)
     chosen = ids[ids > 0]

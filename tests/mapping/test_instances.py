@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
+from mapping.colors import likeness, piece_colors
 from mapping.geometry import SE3
 from mapping.instances import InstanceMap
 from mapping.segmentation import segment
@@ -37,6 +38,7 @@ class Watching:
     def look(
         self, eye: tuple[float, float, float], target: tuple[float, float, float] = (0.0, 0.0, 0.1), *,
         hide: Iterable[int] = (), rename: dict[int, str] | None = None, masks: dict[int, int] | None = None,
+        color: tuple[int, int, int] | None = None,
     ) -> frozenset[int]:  # fmt: skip
         """One image; `masks`: instance id → the one that the segmenter gives in this image. Returns the touched ids."""
         self.now += 1
@@ -46,7 +48,9 @@ class Watching:
             given[image.instances == old] = new
             image = image.model_copy(update={"instances": given})
         seen = segment(image, image.depth_m, self.things)
-        change = self.map.integrate_image(seen, image.depth_m, CAMERA, image.T_map_camera or SE3.identity(), self.now)
+        shown = None if color is None else np.broadcast_to(np.array(color, np.uint8), (*image.depth_m.shape, 3))
+        pose = image.T_map_camera or SE3.identity()
+        change = self.map.integrate_image(seen, image.depth_m, CAMERA, pose, self.now, color=shown)
         self.merged |= change.merged
         self.split |= change.split
         return change.touched
@@ -302,6 +306,7 @@ def test_a_voxel_is_of_the_class_of_the_thing_that_it_lies_on() -> None:
 
 
 MINUTE_NS = 60 * 10**9
+RED, BLUE = (200, 40, 40), (40, 40, 200)
 
 
 def test_what_was_hardly_seen_long_ago_tells_nothing_of_what_is_seen_now() -> None:
@@ -345,10 +350,11 @@ def test_instances_remember_the_colour_of_their_masks() -> None:
         seen = segment(image, image.depth_m, world.things)
         pose = image.T_map_camera or SE3.identity()
         world.map.integrate_image(seen, image.depth_m, CAMERA, pose, 1, color=color)
-    tint = world.map.instances[1].tint
-    assert tint[:3] == pytest.approx((200, 100, 50))
+    colors = world.map.instances[1].colors
+    seen = segment(image, image.depth_m, world.things)
+    assert likeness(colors, piece_colors(seen.pieces, seen.trust, 1, color)[0]) == pytest.approx(1.0)
     again = InstanceMap.from_state(world.map.state())
-    assert again.instances[1].tint == pytest.approx(tint)
+    assert np.array_equal(again.instances[1].colors, colors)
 
 
 @pytest.mark.parametrize(("later", "same"), [((200, 40, 40), True), ((100, 20, 20), True), ((40, 40, 200), False)])
@@ -364,3 +370,14 @@ def test_a_thing_of_another_colour_in_the_same_place_is_another_and_one_in_the_s
             world.map.integrate_image(seen, image.depth_m, CAMERA, pose, image.stamp_ns, color=shown)
     assert (world.ids == [1]) == same
     assert len(world.ids) == 1
+
+
+@pytest.mark.parametrize(("minutes", "later", "exchanged"), [(10, BLUE, True), (10, RED, False), (1, BLUE, False)])
+def test_of_two_in_one_place_the_one_that_another_colour_came_for_long_after_has_gone(minutes, later, exchanged):
+    world = Watching(box("crate", -0.4, 0.0, 1), box("crate", 0.4, 0.0, 2))
+    for hidden, color, start in ((2, RED, 0), (1, later, minutes * MINUTE_NS)):
+        world.now = start
+        for eye in ((1.4, 0.0, 1.0), (-1.4, 0.0, 1.0)):
+            world.look(eye, hide=[hidden], color=color)
+    one, other = world.ids
+    assert world.map.replaced(one, other) == world.map.replaced(other, one) == (one if exchanged else 0)

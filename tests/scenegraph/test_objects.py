@@ -24,6 +24,7 @@ class Seen:
         self.surface: dict[int, np.ndarray] = {}
         self.forgotten: list[int] = []
         self.apart = False
+        self.gone = 0
 
     def put(
         self, number: int, label: str, points: np.ndarray, views: int = 5, now: int = 10, wrong: float = 0.0
@@ -45,6 +46,9 @@ class Seen:
 
     def were_apart(self, one: int, other: int) -> bool:
         return self.apart
+
+    def replaced(self, one: int, other: int) -> int:
+        return self.gone
 
     def join(self, kept: int, lost: int) -> InstanceChange:
         self.surface[kept] = np.concatenate([self.surface[kept], self.surface.pop(lost)])
@@ -282,6 +286,16 @@ def test_two_nodes_of_a_class_that_interpenetrate_become_one(world: Watching) ->
     assert [n.id for n in world.graph.nodes("object")] == ["object_1"]
     assert world.graph.tombstone("object_2") is None, "nobody ever heard of it"
     assert list(world.seen.instances) == [1]
+
+
+def test_what_came_to_the_place_of_another_that_looks_different_is_not_that(world: Watching) -> None:
+    world.seen.gone = 1
+    world.seen.put(2, "table", CUBE + 0.02, now=20)
+    world.seen.instances[1].colors[7] = world.seen.instances[2].colors[300] = 1.0
+    world.update(1, 2)
+    assert [n.id for n in world.graph.nodes("object")] == ["object_2"]
+    assert world.graph.tombstone("object_1").reason == "no longer seen"  # type: ignore[union-attr]
+    assert list(world.seen.instances) == [2]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,79 @@
+"""Colours of things are told by what is sure of them, whatever the light and the side they are seen from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mapping.colors import STEP, likeness, no_colors, piece_colors
+from mapping.kernels.colors import CELLS, CHROMA_CELLS, CHROMA_STEP, DARK, LIGHT_CELLS, LIGHT_STEP
+
+shades = st.tuples(*[st.integers(0, 255)] * 3)
+
+
+def plain(color: tuple[int, int, int]) -> np.ndarray:
+    """The colours (CELLS,) of a piece that is all of one colour."""
+    image = np.broadcast_to(np.array(color, np.uint8), (8, 8, 3))
+    found: np.ndarray = piece_colors(np.ones((8, 8), np.int32), np.ones((8, 8), np.float32), 1, image)[0]
+    return found
+
+
+def naive_colors(pieces: np.ndarray, trust: np.ndarray, n: int, color: np.ndarray) -> np.ndarray:
+    """The histograms (n, CELLS), pixel by pixel and cell by cell."""
+    found = np.zeros((n, CHROMA_CELLS, CHROMA_CELLS, LIGHT_CELLS))
+    for v in range(STEP // 2, len(pieces), STEP):
+        for u in range(STEP // 2, pieces.shape[1], STEP):
+            rgb = color[v, u] + DARK
+            at = (*(rgb[:2] / rgb.sum() / CHROMA_STEP), np.log2(rgb.mean() / DARK) / LIGHT_STEP)
+            hats = [np.maximum(0.0, 1.0 - np.abs(np.arange(m) - x)) for m, x in zip(found.shape[1:], at, strict=True)]
+            if pieces[v, u] > 0:
+                found[pieces[v, u] - 1] += trust[v, u] ** 4 * np.einsum("i,j,k->ijk", *hats)
+    flat = found.reshape(n, CELLS)
+    return flat / np.maximum(flat.sum(axis=1, keepdims=True), 1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_histograms_match_the_naive_reference(seed):
+    rng = np.random.default_rng(seed)
+    pieces = rng.integers(0, 4, (24, 30)).astype(np.int32)
+    trust = rng.random((24, 30)).astype(np.float32)
+    color = rng.integers(0, 256, (24, 30, 3)).astype(np.uint8)
+    found = piece_colors(pieces, trust, 3, color)
+    assert found == pytest.approx(naive_colors(pieces, trust, 3, color), abs=1e-5)
+    assert found.sum(axis=1) == pytest.approx(np.ones(3), abs=1e-5)
+
+
+@given(shades, shades)
+def test_likeness_is_symmetric_within_bounds_and_one_for_the_same(one, other):
+    a, b = plain(one), plain(other)
+    assert likeness(a, b) == pytest.approx(float(likeness(b, a)))
+    assert -1e-6 <= likeness(a, b) <= 1.0 + 1e-5
+    assert likeness(a, 3.0 * a) == pytest.approx(1.0, abs=1e-5)
+
+
+@given(st.tuples(*[st.integers(60, 255)] * 3), st.floats(0.75, 1.0))
+def test_light_and_shade_change_little(color, shade):
+    darker = tuple(round(shade * channel) for channel in color)
+    assert likeness(plain(color), plain(darker)) > 0.85  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("other", [(50, 110, 190), (230, 180, 50), (70, 150, 90), (150, 80, 160), (35, 35, 38)])
+def test_what_anybody_would_call_another_colour_is_unlike(other):
+    assert likeness(plain((200, 60, 50)), plain(other)) < 0.3
+
+
+def test_a_rim_that_is_not_to_be_trusted_tells_nothing():
+    color = np.full((16, 16, 3), (200, 60, 50), np.uint8)
+    color[:, 8:] = (50, 110, 190)
+    trust = np.ones((16, 16), np.float32)
+    trust[:, 8:] = 0.1
+    found = piece_colors(np.ones((16, 16), np.int32), trust, 1, color)[0]
+    assert likeness(found, plain((200, 60, 50))) > 0.99
+
+
+def test_what_was_seen_without_colour_is_like_nothing_that_is_known():
+    pieces, trust = np.ones((8, 8), np.int32), np.ones((8, 8), np.float32)
+    assert not piece_colors(pieces, trust, 2, None).any()
+    assert np.isnan(likeness(no_colors(), plain((10, 20, 30))))
