@@ -48,8 +48,8 @@ class Labels:
                 hint="publish a LabelSpace before labelled data",
             )
         translated = table[labels]
-        unknown = (translated == 0) & (labels != 0)
-        if unknown.any():
+        if np.count_nonzero(translated) != np.count_nonzero(labels):
+            unknown = (translated == 0) & (labels != 0)
             raise InvalidObservation(
                 f"labels: class id {int(labels[unknown][0])} is not in the label space of {robot}/{sensor}",
                 hint="publish a LabelSpace that names it",
