@@ -228,11 +228,12 @@ class CameraIntrinsics(BaseModel):
     width: int = Field(gt=0, le=65536)
     height: int = Field(gt=0, le=65536)
 
-    def rays(self) -> Array:
-        """(height, width, 3) float32: the direction of each pixel in the optical frame, with z = 1."""
-        u = (np.arange(self.width, dtype=np.float32) - np.float32(self.cx)) / np.float32(self.fx)
-        v = (np.arange(self.height, dtype=np.float32) - np.float32(self.cy)) / np.float32(self.fy)
-        rays = np.ones((self.height, self.width, 3), dtype=np.float32)
+    def rays(self, rows: slice = slice(None), columns: slice = slice(None)) -> Array:
+        """(height, width, 3) float32: the direction of each pixel in the optical frame, with z = 1; of some rows and
+        columns only, where they are given."""
+        u = (np.arange(self.width, dtype=np.float32)[columns] - np.float32(self.cx)) / np.float32(self.fx)
+        v = (np.arange(self.height, dtype=np.float32)[rows] - np.float32(self.cy)) / np.float32(self.fy)
+        rays = np.ones((len(v), len(u), 3), dtype=np.float32)
         rays[..., 0] = u[None, :]
         rays[..., 1] = v[:, None]
         return rays

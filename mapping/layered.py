@@ -189,7 +189,7 @@ class LayeredMap:
         rows, columns = (slice(REGISTRATION_STEP // 2, None, REGISTRATION_STEP),) * 2
         depth = depth_m[rows, columns]
         near = (depth > 0.0) & (depth < REGISTRATION_RANGE_M)
-        rays = image.intrinsics.rays()[rows, columns]
+        rays = image.intrinsics.rays(rows, columns)
         return refine_pose(self.tsdf, (rays * depth[..., None])[near], T_map_camera, image.covariance)
 
     def label_image(self, image: RgbdImage, T_map_camera: SE3, things: Array, moving: Array | None = None) -> MapChange:
@@ -261,7 +261,7 @@ def _shown(image: RgbdImage, T_map_camera: SE3, classes: Array) -> Array:
         return np.empty((0, 3))
     some = (slice(None, None, MOVER_STEP),) * 2
     mask = classes[image.labels[some]] & (image.depth_m[some] > 0.0)
-    return T_map_camera @ (image.intrinsics.rays()[some][mask] * image.depth_m[some][mask][:, None])
+    return T_map_camera @ (image.intrinsics.rays(*some)[mask] * image.depth_m[some][mask][:, None])
 
 
 def beside(mask: Array, pixels: int) -> Array:
