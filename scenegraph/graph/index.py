@@ -279,18 +279,18 @@ class GraphIndex:
     # -- edges --------------------------------------------------------------------------------------------------------
 
     def put_edge(self, edge: Edge) -> None:
-        if self._stored is not None:
-            self._drop_stored(edge.key)
         pairs = self._by_relation.setdefault(edge.relation, {})
         pair = (edge.source, edge.target)
-        self.n_edges += pair not in pairs
+        if pair not in pairs:
+            self._drop_stored(edge.relation, *pair)
+            self.n_edges += 1
         pairs[pair] = edge
         self._by_source.setdefault(edge.source, {}).setdefault(edge.relation, {})[edge.target] = edge
         self._by_target.setdefault(edge.target, {}).setdefault(edge.relation, {})[edge.source] = edge
 
     def drop_edge(self, key: EdgeKey) -> None:
         relation, source, target = key
-        if self._drop_stored(key):
+        if self._drop_stored(relation, source, target):
             return
         pairs = self._by_relation[relation]
         del pairs[source, target]
@@ -304,6 +304,11 @@ class GraphIndex:
                 if not relations:
                     del index[here]
         self.n_edges -= 1
+
+    def __contains__(self, key: EdgeKey) -> bool:
+        """Whether there is an edge of this key."""
+        relation, source, target = key
+        return (source, target) in self._by_relation.get(relation, ()) or self._stored_row(*key) >= 0
 
     def edge(self, relation: str, source: str, target: str) -> Edge | None:
         pairs = self._by_relation.get(relation)
@@ -399,13 +404,14 @@ class GraphIndex:
         return self._stored.made(rows)
 
     def _stored_row(self, relation: str, source: str, target: str) -> int:
-        slot_of = self.nodes.slot_of
-        a, b = slot_of.get(source), slot_of.get(target)
-        return -1 if self._stored is None or a is None or b is None else self._stored.find(relation, a, b)
+        if self._stored is None:
+            return -1
+        a, b = self.nodes.slot_of.get(source), self.nodes.slot_of.get(target)
+        return -1 if a is None or b is None else self._stored.find(relation, a, b)
 
-    def _drop_stored(self, key: EdgeKey) -> bool:
+    def _drop_stored(self, relation: str, source: str, target: str) -> bool:
         """Cross out the row of an edge, if it has one."""
-        row = self._stored_row(*key)
+        row = self._stored_row(relation, source, target)
         if row < 0 or self._stored is None:
             return False
         self._stored.drop(row)

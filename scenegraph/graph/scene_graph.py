@@ -215,7 +215,7 @@ class SceneGraph:
         Raises UnknownNode (deleting or becoming what is not there), DanglingEdge, InvariantViolated.
         """
         stamp_ns = max(stamp_ns, self._stamp_ns) if self._revision else stamp_ns
-        after = self._settle(changes, stamp_ns)
+        after, before = self._settle(changes, stamp_ns)
         check_edges_have_ends(after.edges.values(), lambda i: self._lives(i, after), self._index.nodes)
         check_layers_stay(self._index.nodes, after.nodes)
         if not after.nodes and not after.edges:
@@ -233,7 +233,7 @@ class SceneGraph:
             ),
             tombstones=tuple(stone for stone in after.tombstones.values() if stone is not None),
         )
-        self._carry_out(after, delta.revision, stamp_ns)
+        self._carry_out(after, before, delta.revision, stamp_ns)
         return delta
 
     def apply(self, delta: Delta) -> None:
@@ -263,10 +263,15 @@ class SceneGraph:
         check_edges_have_ends(after.edges.values(), lambda i: self._lives(i, after), self._index.nodes)
         check_layers_stay(self._index.nodes, after.nodes)
         check_no_edge_is_left(delta.nodes.deleted, self._index.edges_of, after.edges)
-        self._carry_out(after, delta.revision, delta.stamp_ns)
+        before = Change(
+            nodes={node_id: self._index.nodes.get(node_id) for node_id in after.nodes},
+            edges={key: self._index.edge(*key) for key in after.edges},
+            tombstones={node_id: self._tombstones.get(node_id) for node_id in after.tombstones},
+        )
+        self._carry_out(after, before, delta.revision, delta.stamp_ns)
 
-    def _settle(self, changes: GraphChanges, stamp_ns: int) -> Change:
-        """What the graph will differ in once the wishes are carried out in order."""
+    def _settle(self, changes: GraphChanges, stamp_ns: int) -> tuple[Change, Change]:
+        """What the graph will differ in once the wishes are carried out in order, and how that is before."""
         index = self._index
         nodes: dict[str, Node | None] = {}
         edges: dict[EdgeKey, Edge | None] = {}
@@ -289,12 +294,14 @@ class SceneGraph:
                 stones[step.id] = Tombstone(id=step.id, became=step.became, reason=step.reason, stamp_ns=stamp_ns)
             else:
                 edges[step] = None
-        nodes = {i: node for i, node in nodes.items() if index.nodes.get(i) != node}
+        old_nodes = {i: index.nodes.get(i) for i in nodes}
+        nodes = {i: node for i, node in nodes.items() if old_nodes[i] != node}
         gone = {i for i, node in nodes.items() if node is None}  # a put that joins one of these is no news, but wrong
+        old_edges = {key: index.edge(*key) for key in edges}
         edges = {
             key: edge
             for key, edge in edges.items()
-            if index.edge(*key) != edge or (edge is not None and not gone.isdisjoint((edge.source, edge.target)))
+            if old_edges[key] != edge or (edge is not None and not gone.isdisjoint((edge.source, edge.target)))
         }
         tombstones: dict[str, Tombstone | None] = {}
         for node_id, node in nodes.items():
@@ -304,7 +311,12 @@ class SceneGraph:
                 tombstones[node_id] = None
         after = Change(nodes, edges, tombstones)
         self._check_becoming(after)
-        return after
+        before = Change(
+            nodes={node_id: old_nodes[node_id] for node_id in nodes},
+            edges={key: old_edges[key] for key in edges},
+            tombstones={node_id: self._tombstones.get(node_id) for node_id in tombstones},
+        )
+        return after, before
 
     def _last_words(self, stone: Tombstone, stones: dict[str, Tombstone], nodes: dict[str, Node | None]) -> Tombstone:
         """The stone, looking past nodes that these changes both put and deleted: nobody ever heard of those."""
@@ -335,14 +347,8 @@ class SceneGraph:
         """Whether the node exists once the change is carried out."""
         return (after.nodes[node_id] is not None) if node_id in after.nodes else node_id in self._index.nodes
 
-    def _carry_out(self, after: Change, revision: int, stamp_ns: int) -> None:
-        """Install a checked change and remember what it replaced."""
-        index = self._index
-        before = Change(
-            nodes={i: index.nodes.get(i) for i in after.nodes},
-            edges={key: index.edge(*key) for key in after.edges},
-            tombstones={i: self._tombstones.get(i) for i in after.tombstones},
-        )
+    def _carry_out(self, after: Change, before: Change, revision: int, stamp_ns: int) -> None:
+        """Install a checked change and remember what it replaces."""
         self._install(after)
         self._history.remember(Undo(revision, stamp_ns, self._stamp_ns, before))
         self._revision = revision
@@ -353,7 +359,7 @@ class SceneGraph:
         for key, edge in after.edges.items():
             if edge is not None:
                 index.put_edge(edge)
-            elif index.edge(*key) is not None:
+            elif key in index:
                 index.drop_edge(key)
         for node_id, node in after.nodes.items():
             if node is not None:

@@ -164,11 +164,13 @@ def _decide_in_rooms(measured: Measured, thresholds: Thresholds, on: tuple[Array
 def _decide_above(measured: Measured, thresholds: Thresholds, on: tuple[Array, Array], found: _Found) -> None:
     n = len(measured.things)
     overlap, gap = measured.footprint_overlap, thresholds.contact_gap
-    rests = on[0][:, 0] * n + on[0][:, 1]
+    rests = np.sort(on[0][:, 0] * n + on[0][:, 1])
     over = (overlap > 0.0) & (overlap >= thresholds.overlap_share) & ~measured.structure_between & measured.same_storey
     for k, ends in enumerate((measured.pairs, measured.pairs[:, ::-1])):
         high = np.flatnonzero(over & (measured.rise[:, k] > gap))
-        high = high[~np.isin(ends[high, 0] * n + ends[high, 1], rests)]
+        if len(high) and len(rests):
+            pair = ends[high, 0] * n + ends[high, 1]
+            high = high[rests[np.minimum(rests.searchsorted(pair), len(rests) - 1)] != pair]
         rise = measured.rise[high, k]
         margin = np.minimum(
             (rise - gap) / gap if gap > 0.0 else np.inf, _above(overlap[high], thresholds.overlap_share)

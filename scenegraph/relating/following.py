@@ -102,7 +102,7 @@ class _Around:
         low, high = space.bounds(slots[space.layer[slots] == OBJECT])
         low, high = np.vstack([low, *(low for low, _ in places)]), np.vstack([high, *(high for _, high in places)])
         slots = np.union1d(slots, space.in_box(low.min(axis=0), high.max(axis=0), "room"))
-        slots = np.setdiff1d(slots[_RELATED[space.layer[slots]]], old, assume_unique=True)
+        slots = slots[_RELATED[space.layer[slots]] & (slots[:, None] != old).all(axis=1)]
         self.things, self._last_seen_ns = _things(graph, slots, put, thresholds)
         is_object = self.things.layer == OBJECT
         self.scope = Scope(whole=is_object & self._among(self._changed), placed=is_object & self._among(placed))
@@ -146,9 +146,20 @@ class _Around:
                 if before is not None and (before.value, before.threshold) == (value, threshold):
                     continue
                 first = last if before is None else min(before.first_seen_ns, last)
-                numbers = {"value": value, "threshold": threshold, "confidence": confidence}
-                news.append({**key._asdict(), **numbers, "evidence": (), "attributes": _NO_ATTRIBUTES})
-                news[-1] |= {"first_seen_ns": first, "last_seen_ns": last}
+                news.append(
+                    {
+                        "relation": key.relation,
+                        "source": key.source,
+                        "target": key.target,
+                        "value": value,
+                        "threshold": threshold,
+                        "confidence": confidence,
+                        "evidence": (),
+                        "first_seen_ns": first,
+                        "last_seen_ns": last,
+                        "attributes": _NO_ATTRIBUTES,
+                    }
+                )
         return held, Edge.trusted(news)
 
     def _chained(self, relation: str, things: set[str]) -> set[str]:
