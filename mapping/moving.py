@@ -156,7 +156,7 @@ class MovingThings:
                 continue
             rows, columns = (slice(s.start, s.stop, FORETOLD_STEP) for s in part)
             depth = image.depth_m[rows, columns]
-            points = (image.intrinsics.rays()[rows, columns] * depth[..., None])[depth > 0.0]
+            points = (image.intrinsics.rays(rows, columns) * depth[..., None])[depth > 0.0]
             hit = np.zeros(depth.shape, np.bool_)
             hit[depth > 0.0] = thing.covers((T_map_camera @ points).astype(np.float64), image.stamp_ns)
             mask[part] |= np.kron(hit, np.ones((FORETOLD_STEP,) * 2, np.bool_))[
