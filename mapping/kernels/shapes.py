@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
+MANY_PAIRS = 20_000
+"""More pairs of points than this are not all compared."""
+ROUNDING_M = 1e-5
+"""Distances are summed up in the precision of the points, float32."""
+
 
 @njit(cache=True)
 def bounds(points: Array) -> tuple[Array, Array]:
@@ -199,15 +204,49 @@ def fit_rectangle(points: Array, most: int, near: float) -> tuple[float, float, 
 
 
 @njit(cache=True)
-def nearest_pair(a: Array, b: Array) -> tuple[float, int, int]:
-    """Least distance between two point sets (N, 3), (M, 3), and the indices of a pair that attains it."""
+def _beside(points: Array, low: Array, high: Array, reach: float) -> Array:
+    """Indices of the points (N, 3) whose distance to the box low, high (3,) is no more than `reach` [m]."""
+    found = np.empty(len(points), dtype=np.int64)
+    n = 0
+    for i in range(len(points)):
+        apart = 0.0
+        for d in range(3):
+            off = max(0.0, max(low[d] - points[i, d], points[i, d] - high[d]))
+            apart += off * off
+        if apart <= reach * reach:
+            found[n] = i
+            n += 1
+    return found[:n]
+
+
+@njit(cache=True)
+def _nearest_of(a: Array, b: Array, some_a: Array, some_b: Array) -> tuple[float, int, int]:
+    """The squared distance of the nearest pair of the points `some_a` of a and `some_b` of b, and their indices."""
     best = np.inf
     at_a = at_b = 0
-    for i in range(len(a)):
-        for j in range(len(b)):
+    for i in some_a:
+        for j in some_b:
             d = (a[i, 0] - b[j, 0]) ** 2 + (a[i, 1] - b[j, 1]) ** 2 + (a[i, 2] - b[j, 2]) ** 2
             if d < best:
                 best, at_a, at_b = d, i, j
+    return best, at_a, at_b
+
+
+@njit(cache=True)
+def nearest_pair(a: Array, b: Array) -> tuple[float, int, int]:
+    """Least distance between two point sets (N, 3), (M, 3), and the indices of a pair that attains it.
+
+    Of large sets a few points give a bound first, and points that are farther from the other set's box are left out.
+    """
+    some_a, some_b = np.arange(len(a)), np.arange(len(b))
+    if len(a) * len(b) > MANY_PAIRS:
+        step_a, step_b = max(1, len(a) // 32), max(1, len(b) // 32)
+        bound = np.sqrt(_nearest_of(a, b, some_a[::step_a].copy(), some_b[::step_b].copy())[0]) + ROUNDING_M
+        low, high = bounds(b)
+        some_a = _beside(a, low, high, bound)
+        low, high = bounds(a)
+        some_b = _beside(b, low, high, bound)
+    best, at_a, at_b = _nearest_of(a, b, some_a, some_b)
     return np.sqrt(best), at_a, at_b
 
 
@@ -230,12 +269,16 @@ def highest_pair(a: Array, b: Array, reach: float) -> tuple[int, int]:
     highest; else -1, -1."""
     best = -np.inf
     at_a = at_b = -1
-    for i in range(len(a)):
+    low, high = bounds(b)
+    some_a = _beside(a, low, high, reach + ROUNDING_M)
+    low, high = bounds(a)
+    some_b = _beside(b, low, high, reach + ROUNDING_M)
+    for i in some_a:
         if a[i, 2] <= best:
             continue
         least = reach * reach
         nearest = -1
-        for j in range(len(b)):
+        for j in some_b:
             d = (a[i, 0] - b[j, 0]) ** 2 + (a[i, 1] - b[j, 1]) ** 2 + (a[i, 2] - b[j, 2]) ** 2
             if d <= least:
                 least, nearest = d, j
