@@ -21,7 +21,13 @@
             storey_height/1,            % ?Metres
             furniture_share/1,          % ?Share
             room_area/1,                % ?SquareMetres
-            search_bound/1              % ?Inferences
+            search_bound/1,             % ?Inferences
+            stairs/1,                   % +Flight
+            stairs_levels/1,            % ?Number
+            stairs_rise/2,              % ?LowMetres, ?HighMetres
+            stairs_going/2,             % ?LowMetres, ?HighMetres
+            stairs_unevenness/1,        % ?Metres
+            stairs_width/1              % ?Metres
           ]).
 
 /** <module> What the planes of a building are
@@ -186,6 +192,63 @@ prior_cost(door, 0.01).
 %   are no longer tried, and the best labelling found so far is completed.
 
 search_bound(3 000 000).
+
+% -- what steps are stairs -----------------------------------------------
+
+%!  stairs(+Flight) is semidet.
+%
+%   Flight, flight(Levels, Rise, Unevenness, Going, Width), is stairs: Levels
+%   level strips in a row, each Rise above and Going behind the one before,
+%   where a rise differs from Rise by Unevenness at most.
+%
+%       ?- stairs(flight(12, 0.18, 0.01, 0.27, 0.9)).
+%       true.
+
+stairs(flight(Levels, Rise, Unevenness, Going, Width)) :-
+    stairs_levels(Least),
+    Levels >= Least,
+    stairs_rise(Low, High),
+    Rise >= Low,
+    Rise =< High,
+    stairs_going(Short, Long),
+    Going >= Short,
+    Going =< Long,
+    stairs_unevenness(Most),
+    Unevenness =< Most,
+    stairs_width(Narrow),
+    Width >= Narrow.
+
+%!  stairs_levels(?Number) is det.
+%
+%   The floor at the foot is one of them. Fewer are a stool, a plinth or
+%   books in a row.
+
+stairs_levels(4).
+
+%!  stairs_rise(?LowMetres, ?HighMetres) is det.
+%
+%   People climb steps of 15 to 20 cm; garden steps are lower, cellar
+%   stairs higher.
+
+stairs_rise(0.1, 0.25).
+
+%!  stairs_going(?LowMetres, ?HighMetres) is det.
+%
+%   A foot finds room on a step of this depth.
+
+stairs_going(0.2, 0.4).
+
+%!  stairs_unevenness(?Metres) is det.
+%
+%   One step that differs by more makes people stumble, or was not measured.
+
+stairs_unevenness(0.05).
+
+%!  stairs_width(?Metres) is det.
+%
+%   People pass; shelves and boxes piled up are narrower.
+
+stairs_width(0.5).
 
 % -- what classes say ----------------------------------------------------
 

@@ -31,6 +31,7 @@ from scenegraph.perception.passages import Passages
 from scenegraph.perception.relations import MeasurementChange, Relations
 from scenegraph.perception.rooms import Rooms
 from scenegraph.perception.shapes import Shape
+from scenegraph.perception.stairs import Stairs, stairs_by_rule
 from scenegraph.perception.structure import Structure
 from scenegraph.realigning import Corrections, alike, carried, carried_edges, shares_in
 from scenegraph.rigid import moved
@@ -60,7 +61,10 @@ class Perception:
         shapes, names = self.objects.shapes, self.objects.labels
         beside_m = BESIDE_VOXELS * map_.tsdf.voxel_size_m
         self.boxes = Boxes(shapes, names, meaning.is_structural, map_.instances.voxel_size_m, beside_m)
-        self.clusters = Clusters(shapes, names, self.objects.is_node, self.boxes.holds, self.boxes.thing_at)
+        self.stairs = Stairs(
+            shapes, names, stairs_by_rule(meaning.knowledge), self.boxes.thing_at, self.structure.area_m2
+        )
+        self.clusters = Clusters(shapes, names, self.objects.is_node, self._named_otherwise, self.boxes.thing_at)
         self.objects.inherited = self._known_as
         self.rooms = Rooms()
         self.passages = Passages()
@@ -87,6 +91,11 @@ class Perception:
         box_changes, reboxed = self.boxes.update(boxes, reshaped, self._cluster_at, graph, stamp_ns)
         changes.extend(box_changes)
         reshaped |= reboxed
+        stairs_changes, climbed = self.stairs.update(
+            self._map.planes, seen.planes.moved, self._map.tsdf.block_size_m, graph, stamp_ns
+        )
+        changes.extend(stairs_changes)
+        reshaped |= climbed
         cluster_changes, reclustered = self.clusters.update(
             self._map, seen, labelled, reshaped, self._labels.things, graph, stamp_ns
         )
@@ -201,7 +210,7 @@ class Perception:
         self.building.update((), planes)
         self.rooms.forget_planes(planes)
         touched = self.objects.forget(node.id, self._map.instances)
-        touched |= self.clusters.forget(node.id) | self.boxes.forget(node.id)
+        touched |= self.clusters.forget(node.id) | self.boxes.forget(node.id) | self.stairs.forget(node.id)
         self._connect_rooms(changes, set(), touched, np.empty((0, 3), np.int64), graph, told.stamp_ns)
         changes.delete_node(node.id, reason)
         measured = self.relations.update(self.objects.shapes, self.objects.labels, touched, self.building)
@@ -255,6 +264,7 @@ class Perception:
             "boxes": self.boxes.document(),
             "relations": self.relations.document(),
             "structure": self.structure.document(),
+            "stairs": self.stairs.document(),
             "dismissed_planes": self.structure.dismissed,
             "dismissed_passages": self.passages.document(),
         }
@@ -269,6 +279,8 @@ class Perception:
         self.passages.restore(given_up, graph, self.objects.shapes, self.objects.labels)
         self.free_places.restore(self._map.occupancy, self.rooms, graph)
         self.structure.restore(document["structure"], self._map.planes, graph, document.get("dismissed_planes", ()))
+        if "stairs" in document:
+            self.stairs.restore(document["stairs"], self._map.planes, self._map.tsdf.block_size_m)
         if "clusters" in document:
             self.clusters.restore(document["clusters"], self._map, self.structure.labels, graph)
         self.relations.restore(document["relations"], self.objects.shapes)
@@ -296,6 +308,10 @@ class Perception:
     def _known_as(self, shape: Shape, label: str) -> str | None:
         """The id under which a thing of which voxels have a class now has been known until now."""
         return self.boxes.inherit(shape, label) or self._cluster_at(shape.points)
+
+    def _named_otherwise(self, points: Array) -> NDArray[np.bool_]:
+        """(N,) whether points (N, 3) [m] are of things whose name does not come from labelled voxels."""
+        return self.boxes.holds(points) | self.stairs.holds(points)
 
     def _cluster_at(self, points: Array) -> str | None:
         return self.clusters.inherit(self._map.clusters, points)

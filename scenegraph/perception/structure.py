@@ -96,6 +96,11 @@ class Structure:
         """Plane id → label."""
         return dict(self._label)
 
+    def area_m2(self, plane_id: int) -> float:
+        """The area of a plane when it was last measured [m²]; 0 when it never was."""
+        known = self._seen.get(plane_id)
+        return 0.0 if known is None else known.facts.area_m2
+
     def ids(self, *labels: str) -> list[int]:
         """Ids of the planes with one of these labels, ascending."""
         return sorted(i for i, label in self._label.items() if label in labels)

@@ -103,6 +103,14 @@ test(a_leaf_is_as_wide_as_a_person_needs, all(Width-Label == [0.3-no_feature, 0.
     furnished([plane(leaf, side, 0.0, 2.0, Width, 1.8, [])], [], Labels),
     memberchk(leaf-Label, Labels).
 
+test(stairs_are_several_steps_that_people_climb,
+     all(Flight == [flight(12, 0.18, 0.01, 0.27, 0.9), flight(4, 0.15, 0.0, 0.3, 1.2)])) :-
+    member(Flight, [ flight(12, 0.18, 0.01, 0.27, 0.9), flight(4, 0.15, 0.0, 0.3, 1.2),
+                     flight(3, 0.18, 0.01, 0.27, 0.9), flight(6, 0.3, 0.01, 0.27, 0.9),
+                     flight(6, 0.18, 0.08, 0.27, 0.9), flight(6, 0.18, 0.01, 0.1, 0.9),
+                     flight(6, 0.18, 0.01, 0.27, 0.4) ]),
+    stairs(Flight).
+
 test(a_leaf_stands_on_a_floor_unless_it_was_seen_to_be_one,
      all(ZMin-Evidence-Label == [0.0-[]-door, 7.0-[]-no_feature, 7.0-[door-0.8]-door])) :-
     member(ZMin-Evidence, [0.0-[], 7.0-[], 7.0-[door-0.8]]),
