@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import networkx as nx
@@ -31,7 +31,7 @@ def read_node_link(document: Mapping[str, Any]) -> SceneGraph:
         raise GraphUnreadable("not a node-link graph: expected nodes, multigraph and edges (or links)")
     try:
         graph = nx.node_link_graph(dict(document), edges="edges" if "edges" in document else "links")
-    except (KeyError, TypeError, AttributeError, nx.NetworkXError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, nx.NetworkXError) as error:
         raise GraphUnreadable(f"not a node-link graph: {type(error).__name__}: {error}") from None
     return from_networkx(graph)
 
@@ -43,6 +43,8 @@ def from_networkx(graph: nx.MultiDiGraph) -> SceneGraph:
     edge, when a field is missing or wrong.
     """
     told = graph.graph
+    if not isinstance(told, dict) or not isinstance(told.get("tombstones", ()), Iterable):
+        raise GraphUnreadable("graph: expected revision, stamp_ns and a list of tombstones")
     edges = graph.edges(keys=True, data=True) if graph.is_multigraph() else _unkeyed(graph)
     try:
         nodes = tuple(_node(node_id, data) for node_id, data in graph.nodes(data=True))

@@ -16,7 +16,8 @@ times       when last updated; of agents, their stamps; of Khronos' objects, fir
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from scenegraph.errors import GraphUnreadable, InvalidGraphValue, InvariantViolated
@@ -49,17 +50,14 @@ def read_spark_dsg(document: Mapping[str, Any], *, labels: Mapping[int, str] | N
     reader = _Reader(document, labels or {})
     nodes = [reader.node(record, i) for i, record in enumerate(_list(document, "nodes"))]
     edges = [edge for i, record in enumerate(_list(document, "edges")) for edge in reader.edges(record, i)]
-    told = document.get("metadata") or {}
     last = max((node.last_seen_ns for node in nodes), default=0)
+    with _named("metadata"):
+        told = document.get("metadata") or {}
+        stones = tuple(Tombstone.model_validate(stone) for stone in told.get("tombstones", ()))
+        revision, stamp_ns = int(told.get("revision", 1)), int(told.get("stamp_ns", last))
     try:
         return SceneGraph.from_snapshot(
-            Snapshot(
-                revision=int(told.get("revision", 1)),
-                stamp_ns=int(told.get("stamp_ns", last)),
-                nodes=tuple(nodes),
-                edges=tuple(edges),
-                tombstones=tuple(Tombstone.model_validate(stone) for stone in told.get("tombstones", ())),
-            )
+            Snapshot(revision=revision, stamp_ns=stamp_ns, nodes=tuple(nodes), edges=tuple(edges), tombstones=stones)
         )
     except (InvalidGraphValue, InvariantViolated) as error:
         raise GraphUnreadable(f"spark_dsg: {error}") from None
@@ -72,28 +70,36 @@ def _list(document: Mapping[str, Any], name: str) -> list[Any]:
     return value
 
 
+@contextmanager
+def _named(part: str) -> Iterator[None]:
+    """What is wrong inside is GraphUnreadable, and names the part of the document."""
+    try:
+        yield
+    except GraphUnreadable as error:
+        raise GraphUnreadable(f"spark_dsg: {part}: {error}", hint=error.hint) from None
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
+        raise GraphUnreadable(f"spark_dsg: {part}: {_words(error)}") from None
+
+
 class _Reader:
     """Reads nodes, then edges, of one document."""
 
     def __init__(self, document: Mapping[str, Any], labels: Mapping[int, str]) -> None:
-        metadata = document.get("metadata") or {}
         names = document.get("layer_names") or {layer.name: layer.key for layer in LAYERS.values()}
-        self._names = {(key["layer"], key["partition"]): name for name, key in names.items() if name != "AGENTS"}
-        self._spaces: dict[str, dict[int, str]] = {
-            key: {int(number): str(label) for number, label in pairs}
-            for key, pairs in (metadata.get("labelspaces") or {}).items()
-        }
+        with _named("layer_names"):
+            self._names = {(key["layer"], key["partition"]): name for name, key in names.items() if name != "AGENTS"}
+        with _named("metadata.labelspaces"):
+            spaces = (document.get("metadata") or {}).get("labelspaces") or {}
+            self._spaces: dict[str, dict[int, str]] = {
+                key: {int(number): str(label) for number, label in pairs} for key, pairs in spaces.items()
+            }
         self._labels = labels
         self._by_symbol: dict[int, tuple[Node, int]] = {}
         self._taken: set[str] = set()
 
     def node(self, record: Any, row: int) -> Node:
-        try:
+        with _named(f"nodes[{row}]"):
             return self._node(record)
-        except GraphUnreadable as error:
-            raise GraphUnreadable(f"spark_dsg: nodes[{row}]: {error}", hint=error.hint) from None
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-            raise GraphUnreadable(f"spark_dsg: nodes[{row}]: {_words(error)}") from None
 
     def _node(self, record: dict[str, Any]) -> Node:
         fields = _modern(record)
@@ -187,10 +193,8 @@ class _Reader:
         return given
 
     def edges(self, record: Any, row: int) -> list[Edge]:
-        try:
+        with _named(f"edges[{row}]"):
             return self._edges(record)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise GraphUnreadable(f"spark_dsg: edges[{row}]: {_words(error)}") from None
 
     def _edges(self, record: dict[str, Any]) -> list[Edge]:
         info = record.get("info") or {}
@@ -288,7 +292,7 @@ def _same_turn(a: Sequence[float], b: Sequence[float]) -> bool:
 
 
 def _in_time(node: Node) -> tuple[int, int]:
-    return node.last_seen_ns, node.attributes["spark_dsg"]["id"]
+    return node.last_seen_ns, node.attributes.get("spark_dsg", {}).get("id", 0)
 
 
 def _words(error: Exception) -> str:

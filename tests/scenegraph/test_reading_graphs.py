@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import tempfile
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from scenegraph.errors import GraphUnreadable
 from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
@@ -258,6 +261,42 @@ def test_what_is_no_graph_is_refused_in_one_line(text: str, told: str, tmp_path:
         read_graph(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def parts_of(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The ways to all that lies in a JSON value."""
+    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in inside:
+        yield (*path, key)
+        yield from parts_of(item, (*path, key))
+
+
+JUNK = (None, True, -1, 1.5, float("inf"), 10**30, "", "x", "No Id", [], {}, [1, 2], [None], {"a": 1})
+
+
+@pytest.mark.parametrize("name", ["json", "spark_dsg", "node_link"])
+@given(graph=graphs(), choice=st.randoms(use_true_random=False))
+@settings(max_examples=150, deadline=None)
+def test_whatever_is_damaged_in_a_file_is_refused_in_one_line(name: str, graph: SceneGraph, choice: Random) -> None:
+    document = json.loads(render_graph(graph, name))
+    for _ in range(choice.randint(1, 2)):
+        *way, last = choice.choice(list(parts_of(document)))
+        place = document
+        for key in way:
+            place = place[key]
+        if choice.random() < 0.2:
+            del place[last]
+        else:
+            place[last] = choice.choice(JUNK)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "graph.json"
+        path.write_text(json.dumps(document))
+        told = ""
+        try:
+            read_graph(path)  # what is damaged may be nothing that counts
+        except GraphUnreadable as error:
+            told = str(error)
+        assert "\n" not in told
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
