@@ -90,6 +90,12 @@ def convex_hull(points: Array) -> Array:
 
 
 @njit(cache=True)
+def median(values: Array) -> float:
+    """The median of values (N ≥ 1,): as `np.median`, a hundred times as fast for few."""
+    return float(np.median(values))
+
+
+@njit(cache=True)
 def polygon_area(corners: Array) -> float:
     """Signed area of a polygon (K, 2); positive when counter-clockwise."""
     total = 0.0
@@ -304,3 +310,43 @@ def near_segment(points: Array, p: Array, q: Array, beside: float, clear: float)
         if clear < along < length - clear and x * x + y * y + z * z - along * along <= beside * beside:
             return True
     return False
+
+
+@njit(cache=True)
+def levels_under(
+    up: Array, top: float, bottom: float, low: Array, high: Array, thick: float, footing: Array, margin: float
+) -> tuple[Array, Array]:
+    """The level surfaces that points facing up make under a thing, highest first.
+
+    up (N, 3) [m]: those between the heights bottom and top whose ground lies between low and high (2,) count
+    thick: points no lower than this under the highest one left are one surface [m]
+
+    Returns the median height (L,) of each surface, and the columns (L, F) bool of the footing (F, 2) that its convex
+    hull, grown by `margin` [m], covers. Surfaces that cover none are left out, and what fewer than three points make.
+    """
+    left = np.empty((len(up), 3))
+    n = 0
+    for i in range(len(up)):
+        x, y, z = up[i, 0], up[i, 1], up[i, 2]
+        if bottom <= z <= top and low[0] <= x <= high[0] and low[1] <= y <= high[1]:
+            left[n, 0], left[n, 1], left[n, 2] = x, y, z
+            n += 1
+    heights, covered = np.empty(n // 3), np.empty((n // 3, len(footing)), np.bool_)
+    level = np.empty((n, 3))
+    found = 0
+    while n >= 3:
+        floor = left[:n, 2].max() - thick
+        count = rest = 0
+        for i in range(n):
+            if left[i, 2] >= floor:
+                level[count] = left[i]
+                count += 1
+            else:
+                left[rest] = left[i]
+                rest += 1
+        inside = points_inside(convex_hull(level[:count, :2]), footing, margin)
+        if inside.any():
+            heights[found], covered[found] = np.median(level[:count, 2]), inside
+            found += 1
+        n = rest
+    return heights[:found], covered[:found]

@@ -270,21 +270,12 @@ def _levels_under(mine: Shape, other: Shape, footing: Array, window_m: float) ->
     """The upward surfaces of `other` at most SETTLE_M below the bottom of `mine`: height, and which columns they
     cover."""
     reach = tolerance(mine)
-    up = other.facing_up
-    near = (up[:, 2] <= mine.lowest + reach) & (up[:, 2] >= mine.lowest - SETTLE_M)
     low, high = mine.bounds
-    near &= ((up[:, :2] >= low[:2] - window_m) & (up[:, :2] <= high[:2] + window_m)).all(axis=1)
-    up = up[near]
-    found: list[tuple[float, Array]] = []
-    while len(up) >= 3:
-        top = float(up[:, 2].max())
-        level = up[:, 2] >= top - reach
-        hull = kernels.convex_hull(up[level, :2].astype(np.float64))
-        inside = kernels.points_inside(hull, footing, 0.5 * mine.voxel_size_m)
-        if inside.any():
-            found.append((float(np.median(up[level, 2])), inside))
-        up = up[~level]
-    return found
+    heights, covered = kernels.levels_under(
+        other.facing_up, mine.lowest + reach, mine.lowest - SETTLE_M, low[:2] - window_m, high[:2] + window_m, reach,
+        footing, 0.5 * mine.voxel_size_m,
+    )  # fmt: skip
+    return list(zip(heights.tolist(), covered, strict=True))
 
 
 def _bottom_hidden(mine: Shape, top: float, footing: Array, seen_free: Callable[[Array], Array]) -> bool:

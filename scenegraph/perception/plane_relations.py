@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.kernels.shapes import median
 from mapping.planes import PlaneMap, PlaneSummary
 
 Array: TypeAlias = NDArray[Any]
@@ -101,7 +102,7 @@ def _level_relations(a: MeasuredPlane, b: MeasuredPlane, planes: PlaneMap) -> li
     if not near.any():
         return []
     # measured where they are close: floors of long corridors are not quite level
-    rise = float(np.median(small.points[near] @ large.normal - large.offset) / large.normal[2])
+    rise = median(small.points[near] @ large.normal - large.offset) / float(large.normal[2])
     pair = (a.facts.id, b.facts.id)
     found: list[Relation] = [("parallel", *pair)]
     upper, lower = (small, large) if rise > 0.0 else (large, small)
@@ -118,7 +119,7 @@ def _standing_relations(level: MeasuredPlane, upright: MeasuredPlane, planes: Pl
     if np.count_nonzero(near) < 0.3 * len(near):
         return []
     found: list[Relation] = [("orthogonal", level.facts.id, upright.facts.id)]
-    rise = float(np.median(upright.points @ level.normal - level.offset) / level.normal[2])
+    rise = median(upright.points @ level.normal - level.offset) / float(level.normal[2])
     if level.facts.facing == "down" and rise < 0.0:
         found.append(("above", level.facts.id, upright.facts.id))
     elif level.facts.facing == "up" and rise > 0.0:

@@ -270,7 +270,8 @@ class Relations:
                 apart = 0.5 * SAMPLED_VOXELS * (shape_a.voxel_size_m + shape_b.voxel_size_m)
                 fresh["gap", a, b] = gap = float(np.sqrt(max(0.0, reach * reach - apart * apart)))
                 upper = lower = gap  # where this is too far already, the way around is not looked for
-                near = float(np.clip(0.5 * (shape_a.box.size[0] + shape_b.box.size[0]), *self._near_m))
+                least, most = self._near_m
+                near = min(most, max(least, 0.5 * float(shape_a.box.size[0] + shape_b.box.size[0])))
                 passage = around.between(p, q) if 0.0 < gap <= near else "clear"
                 if passage != "clear":
                     upper, lower = around.way_around(p, q, FAR_M)
@@ -349,10 +350,10 @@ def _rise(over: Shape, under: Shape, seen_free: Callable[[Array], Array]) -> tup
     bottoms = some(over.bottoms[inside] if inside.any() else over.bottoms, MOST_COLUMNS).astype(np.float64)
     common = kernels.points_inside(over.hull, under.tops[:, :2].astype(np.float64), 0.0)
     tops = under.tops[common] if common.any() else under.tops
-    top, middle = float(np.median(tops[:, 2])), bottoms[:, :2].mean(axis=0)
-    if np.median(bottoms[:, 2]) - top > CONTACT_MARGIN_M:
+    top, middle = kernels.median(tops[:, 2]), bottoms[:, :2].mean(axis=0)
+    if kernels.median(bottoms[:, 2]) - top > CONTACT_MARGIN_M:
         bottoms[:, 2] = _completed(bottoms, over.lowest, over.voxel_size_m, seen_free)
-    bottom = float(np.median(bottoms[:, 2]))
+    bottom = kernels.median(bottoms[:, 2])
     return bottom - top, np.array([*middle, bottom]), np.array([*middle, top])
 
 
