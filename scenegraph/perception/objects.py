@@ -32,6 +32,10 @@ MUCH_LARGER = 2.0
 KNOWN_S = 300.0
 """What is seen first where other things have been known for so long was brought there; before, it may have been hidden
 or too far away."""
+LEARNT_VIEWS = 0.15
+LEARNT_VOXELS = 0.03
+"""A thing is looked at closely again when so many more images showed it, as a share of those that did before, or when
+so many more or fewer voxels are its own."""
 MOVED_M = 0.01
 RESIZED_M = 0.02
 GROWN_SHARE = 0.10
@@ -58,6 +62,7 @@ class Objects:
         self._node_of: dict[int, str] = {}
         self._instance_of: dict[str, int] = {}  # of things, not of structure
         self._split_from: dict[int, int] = {}
+        self._measured: dict[int, tuple[int, int]] = {}  # instance id → its views and voxels when it was measured
 
     def is_node(self, instance_ids: Array) -> Array:
         """(N,) bool: whether the things behind these instance ids (N,) are nodes."""
@@ -262,9 +267,8 @@ class Objects:
         instance = instances.instances[instance_id]
         if not well_seen(instance):
             return
-        points, weights = instances.points(instance_id)
-        shape = Shape.trimmed(points, weights, instances.voxel_size_m) if len(points) >= LEAST_VOXELS else None
         node_id = self._node_of.get(instance_id)
+        shape = self._measure(instance, node_id, instances)
         if shape is None:
             self._depart(instance_id, instances, graph, stamp_ns, changes, reshaped)
             return
@@ -303,6 +307,21 @@ class Objects:
         self.shapes[node.id], self.labels[node.id], self._looks[node.id] = shape, label, look
         changes.put(node.replace(confidence=self._confidence(node.id, instance)))
 
+    def _measure(self, instance: Instance, node_id: str | None, instances: InstanceMap) -> Shape | None:
+        """The shape of an instance; that of its node where little was learnt since. None: it has too few voxels."""
+        known = None if node_id is None else self.shapes.get(node_id)
+        views, voxels = self._measured.get(instance.id, (0, 0))
+        held = instances.n_voxels(instance.id)
+        if (
+            known is not None
+            and instance.views - views <= LEARNT_VIEWS * views
+            and abs(held - voxels) <= LEARNT_VOXELS * voxels
+        ):
+            return known
+        self._measured[instance.id] = (instance.views, held)
+        points, weights = instances.points(instance.id)
+        return Shape.trimmed(points, weights, instances.voxel_size_m) if len(points) >= LEAST_VOXELS else None
+
     def _arrive(self, node: Node, instance_id: int, graph: SceneGraph, stamp_ns: int) -> Node:
         """A new node; it may be part of another, or a thing that was known before."""
         fresh = node.layer == "object" and node.id not in graph  # and not one that had no name until now
@@ -333,6 +352,7 @@ class Objects:
 
     def _disown(self, instance_id: int) -> str:
         node_id = self._node_of.pop(instance_id)
+        self._measured.pop(instance_id, None)
         self._instance_of.pop(node_id, None)
         return node_id
 

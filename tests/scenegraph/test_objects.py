@@ -47,6 +47,9 @@ class Seen:
     def were_apart(self, one: int, other: int) -> bool:
         return self.apart
 
+    def n_voxels(self, number: int) -> int:
+        return len(self.surface[number])
+
     def replaced(self, one: int, other: int) -> int:
         return self.gone
 
@@ -115,9 +118,20 @@ def test_noise_does_not_move_a_thing_and_motion_does(world: Watching) -> None:
     assert world.update(1) == set()
     assert world.graph.node("object_1").box.center == pytest.approx([0.0, 0.0, 0.1], abs=0.003)  # type: ignore[union-attr]
     assert world.graph.node("object_1").last_seen_ns == 20
-    world.seen.put(1, "table", CUBE + 0.05, now=30)
+    world.seen.put(1, "table", CUBE + 0.05, views=6, now=30)
     assert world.update(1) == {"object_1"}
     assert world.graph.node("object_1").box.center == pytest.approx([0.05, 0.05, 0.15], abs=0.003)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(("views", "points", "again"), [(21, CUBE, False), (24, CUBE, True), (20, CUBE[::2], True)])
+def test_a_thing_is_measured_anew_when_much_more_is_known_of_it(views: int, points: np.ndarray, again: bool) -> None:
+    world = Watching()
+    world.seen.put(1, "table", CUBE, views=20)
+    world.update(1)
+    world.seen.put(1, "table", points + np.array([0.2, 0.0, 0.0]), views=views, now=20)
+    assert (world.update(1) == {"object_1"}) == again
+    assert world.graph.node("object_1").last_seen_ns == 20
+    assert world.graph.node("object_1").attributes["views"] == views
 
 
 def test_a_merged_thing_leaves_a_tombstone_that_says_what_became_of_it(world: Watching) -> None:
