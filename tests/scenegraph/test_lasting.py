@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 from scenegraph.world import World
@@ -27,14 +28,20 @@ def changed() -> Scene:
     return Scene(tuple(blocks))
 
 
-def look_around(world: World, scene: Scene, start_ns: int) -> None:
+def look_around(world: World, scene: Scene, start_ns: int, vase: tuple[int, int, int] | None = None) -> None:
+    """Take the whole way; `vase`: in colour, with the vase of this one and all else grey."""
     names = {label: SCENE.id_of(label) for label in scene.classes}
     for n, pose in enumerate(poses()):
         image = scene.image(pose, start_ns + n * RESTED_NS)
         labels = image.labels.copy()
         for label, number in names.items():
             labels[image.labels == scene.id_of(label)] = number
-        world.integrate(image.model_copy(update={"labels": labels}))
+        update = {"labels": labels}
+        if vase is not None:
+            color = np.full((*labels.shape, 3), 120, np.uint8)
+            color[image.instances == VASE] = vase
+            update["color"] = color
+        world.integrate(image.model_copy(update=update))
 
 
 @pytest.fixture(scope="module")
@@ -88,3 +95,31 @@ def test_events_outlive_a_restart(story, tmp_path):
         assert (
             again.perception.objects.reappearance.absent.keys() == world.perception.objects.reappearance.absent.keys()
         )
+
+
+def test_things_are_followed_over_a_restart_between_two_visits(story, tmp_path):
+    followed, before = story
+    with new_world() as world:
+        world.integrate(SCENE.label_space)
+        look_around(world, SCENE, RESTED_NS)
+        world.save(tmp_path / "home.world")
+    with World.load(tmp_path / "home.world") as again:
+        look_around(again, changed(), PAUSE_NS)
+        ids = {label: id_of(again, label) for label in ("table", "book", "oven", "bed", "stool")}
+        assert ids == {label: before[label] for label in ids}
+        assert again.graph.tombstone(before["vase"]) is not None
+        assert [(e.kind, e.node) for e in again.events(PAUSE_NS)] == [
+            (e.kind, e.node) for e in followed.events(PAUSE_NS)
+        ]
+
+
+@pytest.mark.parametrize(("later", "same"), [((190, 60, 50), True), ((50, 70, 190), False)])
+def test_what_stands_where_one_of_another_colour_stood_is_another(later, same):
+    with new_world() as world:
+        world.integrate(SCENE.label_space)
+        look_around(world, SCENE, RESTED_NS, (200, 60, 50))
+        before = id_of(world, "vase")
+        look_around(world, SCENE, PAUSE_NS, later)
+        assert (id_of(world, "vase") == before) == same
+        assert (world.graph.tombstone(before) is None) == same
+        assert len(world.graph.nodes("object")) == 6
