@@ -199,7 +199,7 @@ class InstanceMap(PackedLayer):
         touched = self._displace(overlaps, ids, cells, owners, stamp_ns)
         numbers = [BACKGROUND, *(self.instances[i].number if i else 0 for i in ids.tolist()), 0]
         touched |= self._vote(cells, np.array(numbers, np.uint16)[owners], votes, offsets)  # owner −1 is the last
-        split = self._split(apart(overlaps, ids), ids, cells, owners)
+        split = self._split(apart(overlaps, ids), ids, cells, np.where(votes > 0, owners, -1))
         merged = self._merge(together)
         touched |= {*merged.values(), *split.values(), *self._give_up()}
         ids = np.array([0, *(merged.get(i, i) for i in ids.tolist())])
@@ -335,7 +335,10 @@ class InstanceMap(PackedLayer):
 
     def _split(self, pairs: list[tuple[int, int]], ids: Array, cells: Array, owners: Array) -> dict[int, int]:
         """Give what masks, by index, hold of instances that are seen elsewhere in the image to their own instances,
-        where that was seen before; returns new id → the one that it was part of."""
+        where that was seen before; returns new id → the one that it was part of.
+
+        owners : the piece of each run of pixels; −1 for none, and where the mask is not to be trusted
+        """
         for instance_id in {whole for _, whole in pairs}:
             self.instances[instance_id].splits += 1
         split: dict[int, int] = {}
