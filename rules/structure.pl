@@ -696,6 +696,7 @@ arc(Relation, I, J, Vector, Domains, Arc) :-
     arg(J, Vector, B),
     arg(I, Domains, DomainA),
     arg(J, Domains, DomainB),
+    once(( open(DomainA) ; open(DomainB) )),        % else there is no choice to guide
     \+ indifferent(Relation, DomainA, DomainB),
     findall(BitA-BitB,
             ( bit(LabelA, BitA),
