@@ -319,11 +319,15 @@ def lies_flat(points: Array, component_id: int, clusters: ClusterMap, planes: Pl
     if bool((behind & ((above < most).mean(axis=0) >= FLAT_SHARE)).any()):
         return True
     walls = np.flatnonzero(~raised & (np.abs(normals[:, 2]) < UPRIGHT) & (above.min(axis=0) > -NICHE_M))
+    if np.ptp(points[:, 2]) < OF_WALL_M[0] or not len(walls):
+        return False
     along = normals[walls, :2][:, ::-1] * (-1.0, 1.0)
-    wide = np.ptp(points[:, :2] @ along.T.astype(np.float32), axis=0)
-    in_plane = (above[:, walls] < most[walls]).mean(axis=0) >= 0.5
-    high, least = float(np.ptp(points[:, 2])), OF_WALL_M
-    return high >= least[0] and bool((in_plane & (wide >= least[1])).any())
+    wide = np.ptp(points[:, :2] @ along.T.astype(np.float32), axis=0) >= OF_WALL_M[1]
+    walls = walls[wide & ((above[:, walls] < most[walls]).mean(axis=0) >= 0.5)]
+    if not len(walls):
+        return False
+    _, facing = clusters.surface(component_id, planes)  # what stands behind the wall's other side looks away
+    return bool(((facing @ normals[walls].T.astype(np.float32) > UPRIGHT).mean(axis=0) >= 0.5).any())
 
 
 def shape_of(component_id: int, clusters: ClusterMap, planes: PlaneMap) -> Shape | None:

@@ -33,7 +33,7 @@ ALIKE_M = (0.06, 0.1)
 STEP_SAMPLES = 8
 NARROWEST_M = 0.3
 SAME_HEIGHT_M = 0.03
-REACH_M = (4.5, 0.9, 0.7)
+REACH_M = (4.5, 0.8, 0.5)
 """What is read about a slope: along it, across it, and above and below."""
 
 
@@ -96,8 +96,8 @@ def inclines(points: Array, patch_m: float = PATCH_M) -> list[tuple[Array, Array
     samples, most first; looked for in cubes of `patch_m`."""
     if len(points) < LEAST_SAMPLES:
         return []
-    _, patch, count = np.unique(np.floor(points / patch_m), axis=0, return_inverse=True, return_counts=True)
-    patch = patch.reshape(-1)
+    cells = np.floor(points / patch_m).astype(np.int64)
+    _, patch, count = np.unique(_keys(cells - cells.min(axis=0)), return_inverse=True, return_counts=True)
 
     def mean(values: Array) -> Array:
         return np.bincount(patch, values, len(count)) / count
@@ -117,7 +117,10 @@ def inclines(points: Array, patch_m: float = PATCH_M) -> list[tuple[Array, Array
 def measure(planes: PlaneMap, block_size_m: float, at: Array, uphill: Array) -> Flight | None:
     """The flight of steps that leads up through a point (3,) [m] in a direction (2,), which its steps mend; None where
     there is none."""
-    points, normals, _, _ = planes.samples_in(_blocks_along(at, uphill, block_size_m))
+    points, normals, _, _ = planes.samples_in(_blocks_along(at, uphill, block_size_m, PATCH_M))
+    if _along(points[normals[:, 2] > LEVEL], at, uphill) is None:
+        return None
+    points, normals, _, _ = planes.samples_in(_blocks_along(at, uphill, block_size_m, REACH_M[0]))
     level = points[normals[:, 2] > LEVEL]
     flight = _along(level, at, uphill)
     if flight is None:
@@ -131,7 +134,7 @@ def measure(planes: PlaneMap, block_size_m: float, at: Array, uphill: Array) -> 
 
 def _gradient(points: Array) -> Array | None:
     """The way up (2,) of points (N, 3) [m]."""
-    found = inclines(points, patch_m=np.inf)
+    found = inclines(points - points.min(axis=0, initial=np.inf), patch_m=100.0)
     return found[0][1] if found else None
 
 
@@ -160,15 +163,26 @@ class _Tread:
         return self.across[1] - self.across[0]
 
 
-def _blocks_along(at: Array, uphill: Array, block_size_m: float) -> NDArray[np.int32]:
-    """The blocks (K, 3) in reach of a flight that leads through a point at 45°, give or take."""
-    half = 0.5 * block_size_m
-    s, t, h = (np.arange(-reach, reach + half, half) for reach in REACH_M)
+def _blocks_along(at: Array, uphill: Array, block_size_m: float, reach_m: float) -> NDArray[np.int32]:
+    """The blocks (K, 3) so far up and down a flight that leads through a point, at 33° give or take."""
+    s, t, h = (
+        np.linspace(-reach, reach, 1 + 2 * int(np.ceil(reach / (0.7 * block_size_m))))
+        for reach in (reach_m, *REACH_M[1:])
+    )
     s, t, h = (g.reshape(-1) for g in np.meshgrid(s, t, h, indexing="ij"))
     left = np.array([-uphill[1], uphill[0]])
     xy = at[:2] + s[:, None] * uphill + t[:, None] * left
-    places = np.column_stack([xy, at[2] + 0.65 * s + h * (1.0 + 0.5 * np.abs(s))])
-    return np.unique(np.floor(places / block_size_m).astype(np.int32), axis=0)
+    places = np.column_stack([xy, at[2] + 0.65 * s + h * (1.0 + 0.4 * np.abs(s))])
+    keys = np.floor(places / block_size_m).astype(np.int64)
+    low = keys.min(axis=0)
+    _, first = np.unique(_keys(keys - low), return_index=True)
+    return np.asarray(keys[first], np.int32)
+
+
+def _keys(cells: Array) -> NDArray[np.int64]:
+    """One number (N,) for each of cells (N, 3) ≥ 0."""
+    sizes = cells.max(axis=0, initial=0) + 1
+    return np.asarray((cells[:, 0] * sizes[1] + cells[:, 1]) * sizes[2] + cells[:, 2])
 
 
 def _treads(local: Array) -> list[_Tread]:

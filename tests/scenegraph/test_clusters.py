@@ -218,6 +218,18 @@ def test_a_window_in_its_niche_is_of_the_wall_and_what_stands_before_the_wall_is
         assert [node.id for node in unnamed(world)] == [matches(world, scene)[1]]
 
 
+def test_a_cabinet_before_a_wall_is_no_part_of_the_walls_other_side() -> None:
+    wall = Block("wall", (2.0, 2.0, 1.2), (0.1, 2.6, 2.4))
+    cabinet = Block("cabinet", (2.23, 2.0, 0.55), (0.36, 0.9, 1.1), 1)
+    scene = Scene((*shell((0.0, 0.0), (4.0, 4.0)), wall, cabinet))
+    with World() as world:
+        for n, angle in enumerate(np.arange(24) * np.pi / 12):
+            eye = (2.0 + 1.8 * np.cos(angle), 2.0 + 1.8 * np.sin(angle), 1.6)
+            for m, z in enumerate((0.4, 1.4)):
+                world.integrate(scene.image(looking_at(eye, (2.0, 2.0, z)), 2 * n + m + 1, labelled=False))
+        assert 1 in matches(world, scene)
+
+
 # -- identity ----------------------------------------------------------------------------------------------------------
 
 
