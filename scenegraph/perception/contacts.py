@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from mapping.kernels import columns
 from mapping.kernels import shapes as kernels
 from scenegraph.graph import Box
-from scenegraph.perception.shapes import HEADROOM_M, Shape
+from scenegraph.perception.footprints import house_of
+from scenegraph.perception.shapes import Shape
 
 Array: TypeAlias = NDArray[Any]
 Level: TypeAlias = tuple[str, float] | None
@@ -32,8 +33,6 @@ SETTLE_M = 0.3
 FIRM_SHARE = 0.5
 """What rests on something with this share of its footing does not go down any further, neither hangs nor is fixed to a
 side."""
-HOUSED_SHARE = 0.8
-"""What has so much of its footing in the box of another is in it (`footing_inside_share` in the rules)."""
 HOVER_M = 0.2
 """What hangs or is fixed to a side is this far from what is below it: nearer, it stands on that, seen or not."""
 HIDDEN_SHARE = 0.7
@@ -108,13 +107,10 @@ def resting(mine: Shape, others: Mapping[str, Shape], floor: Level, seen_free: C
 def housed(mine: Shape, others: Mapping[str, Shape], seen_free: Callable[[Array], Array]) -> Resting | None:
     """What a thing rests on that lies in the box of another, as on a shelf of which the board was not seen, where the
     space under it was not seen to be free; None where that is nothing."""
-    start = np.column_stack([mine.footing, np.full(len(mine.footing), mine.lowest)])
-    for name, other in sorted(others.items(), key=lambda item: (item[1].box.size.prod(), item[0])):
-        if other.lowest < mine.lowest < other.highest - HEADROOM_M:
-            share = float(other.box.contains(start, 0.5 * other.voxel_size_m).mean())
-            if share >= HOUSED_SHARE and _bottom_hidden(mine, mine.lowest - tolerance(mine), mine.footing, seen_free):
-                return Resting({name: share}, 0.0, mine.lowest, {})
-    return None
+    name = house_of(mine, others)
+    if name is None or not _bottom_hidden(mine, mine.lowest - tolerance(mine), mine.footing, seen_free):
+        return None
+    return Resting({name: 1.0}, 0.0, mine.lowest, {})
 
 
 def settled(

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -32,6 +33,7 @@ from scenegraph.perception.contacts import (
     some,
     tolerance,
 )
+from scenegraph.perception.footprints import completed, house_of
 from scenegraph.perception.lines import Lines
 from scenegraph.perception.neighbours import GroundIndex
 from scenegraph.perception.shapes import Shape
@@ -106,6 +108,7 @@ class Relations:
         self._near_m = near_m
         self._index = GroundIndex()
         self._lines = Lines()
+        self._footprints: dict[str, tuple[Shape, Shape, Array]] = {}
         self._facts: dict[tuple[str, ...], float] = {}
         self._keys_of: defaultdict[str, set[tuple[str, ...]]] = defaultdict(set)
 
@@ -118,6 +121,7 @@ class Relations:
         fresh: dict[tuple[str, ...], float] = {}
         stale: set[tuple[str, ...]] = set()
         resettled = reshaped & shapes.keys()
+        footprints = cache(lambda thing: self._footprint(thing, shapes, around))
         for thing in reshaped:
             for key in self._keys_of[thing]:
                 if key[0] in CONTACTS:
@@ -135,7 +139,7 @@ class Relations:
             for other in self._index.within(mine.bounds, FAR_M):
                 if other == thing or (other in reshaped and other < thing):
                     continue
-                self._measure_pair(thing, other, shapes, labels, around, fresh)
+                self._measure_pair(thing, other, shapes, labels, around, footprints, fresh)
                 if self._may_rest(other, thing, shapes):
                     resettled.add(other)
         for thing in sorted(resettled):
@@ -160,6 +164,7 @@ class Relations:
                 crossed |= self._lines.over(shapes[thing].bounds)
             else:
                 self._index.remove(thing)
+                self._footprints.pop(thing, None)
         return crossed
 
     def _may_rest(self, other: str, thing: str, shapes: Mapping[str, Shape]) -> bool:
@@ -260,6 +265,7 @@ class Relations:
         shapes: Mapping[str, Shape],
         labels: Mapping[str, str],
         around: Surroundings,
+        footprints: Callable[[str], Array],
         fresh: dict[tuple[str, ...], float],
     ) -> None:
         a, b = min(one, two), max(one, two)
@@ -281,12 +287,24 @@ class Relations:
                 fresh["path_gap_lower", a, b] = min(lower, NO_PATH_M)
                 if upper <= near:
                     self._lines.put((a, b), *shape_a.line_to(shape_b, reach, p, q))
-        smaller = min(shape_a.area, shape_b.area)
-        overlap = kernels.overlap_area(shape_a.hull, shape_b.hull) / smaller if smaller > 0 else 0.0
+        overlap = _overlap(footprints(a), footprints(b))
         if overlap > 0.0:
             fresh["footprint_overlap", a, b] = min(1.0, overlap)
             for upper_thing, lower_thing in ((a, b), (b, a)):
                 self._measure_over(upper_thing, lower_thing, shapes, labels, around, fresh)
+
+    def _footprint(self, thing: str, shapes: Mapping[str, Shape], around: Surroundings) -> Array:
+        """The ground that a thing covers, completed where it stands within another; measured anew with either."""
+        mine = shapes[thing]
+        beside = {o: shapes[o] for o in self._index.within(mine.bounds, 0.0) if o != thing}
+        house = house_of(mine, beside)
+        if house is None:
+            return mine.hull
+        known = self._footprints.get(thing)
+        if known is None or known[0] is not mine or known[1] is not shapes[house]:
+            known = mine, shapes[house], completed(mine, shapes[house].box, around.seen_free)
+            self._footprints[thing] = known
+        return known[2]
 
     def _measure_over(
         self,
@@ -384,6 +402,14 @@ def _inside(a: Shape, b: Shape, whole_box: bool) -> tuple[float, float]:
         if in_box.any():
             voxels[voxels] = enclosed(points[voxels], b)
     return float(in_box.mean()), float(voxels.mean())
+
+
+def _overlap(a: Array, b: Array) -> float:
+    """Area common to two convex footprints, as a share of the smaller."""
+    if len(a) < 3 or len(b) < 3:
+        return 0.0
+    smaller = min(abs(kernels.polygon_area(a)), abs(kernels.polygon_area(b)))
+    return float(kernels.overlap_area(a, b)) / smaller if smaller > 0.0 else 0.0
 
 
 def _ground_gap(a: tuple[Array, Array], b: tuple[Array, Array]) -> float:

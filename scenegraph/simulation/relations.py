@@ -95,7 +95,7 @@ def true_relations(home: Home) -> dict[Relation, float]:
                 found["in", one.thing.id, other.thing.id] = inside
             if share >= OVERLAP_SHARE and ("on", one.thing.id, other.thing.id) not in found:
                 rise = _rise(one, other)
-                if rise > CONTACT_GAP_M:
+                if rise > TOUCHING_M:
                     found["above", one.thing.id, other.thing.id] = rise
     found.update(_rooms(home, bodies, found))
     near = _near(home, bodies)

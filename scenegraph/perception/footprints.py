@@ -1,0 +1,87 @@
+"""The ground that a thing covers, where one side of it was seen only: on the boards of shelves, in open cabinets.
+
+What lies there was seen from the front. Its footprint is completed along the depth of what houses it, within that and
+as far as space was not seen to be free, until it is about as deep as it is broad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.kernels import shapes as kernels
+from scenegraph.graph import Box
+from scenegraph.perception.shapes import HEADROOM_M, Shape
+
+Array: TypeAlias = NDArray[Any]
+
+HOUSED_SHARE = 0.8
+"""What has so much of its footing in the box of another is in it (`footing_inside_share` in the rules)."""
+STRAY_SHARE = 0.02
+"""Share of the points that may lie beyond either end along the axes of the box: what bled onto the shelf."""
+SQUARE = 0.85
+"""A thing is taken to be so deep as compared with its breadth, where its depth was not seen."""
+HIDDEN_SHARE = 0.7
+WITHIN_SHARE = 0.6
+"""It goes on where this share of its next slice was not seen to be free, and this share lies within the box."""
+SLICE_SAMPLES = (5, 4)
+"""Points of a slice across and up."""
+MARGIN_M = 0.02
+
+
+def house_of(mine: Shape, others: Mapping[str, Shape]) -> str | None:
+    """The thing (the smallest of `others`) in whose box a thing stands, under a part of it."""
+    start = np.column_stack([mine.footing, np.full(len(mine.footing), mine.lowest)])
+    for name, other in sorted(others.items(), key=lambda item: (float(item[1].box.size.prod()), item[0])):
+        within = other.lowest < mine.lowest < other.highest - HEADROOM_M
+        if within and float(other.box.contains(start, 0.5 * other.voxel_size_m).mean()) >= HOUSED_SHARE:
+            return name
+    return None
+
+
+def completed(mine: Shape, house: Box, seen_free: Callable[[Array], Array]) -> Array:
+    """The footprint (K, 2), convex and counter-clockwise, of a thing within the box of another, [m].
+
+    seen_free: which points (N, 3) lie in space that was seen to be free
+    """
+    _, _, _, _, yaw = mine.rectangle
+    turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+    ground = mine.points[:, :2].astype(np.float64)
+    local = ground @ turn.T
+    low, high = np.quantile(local, [STRAY_SHARE, 1.0 - STRAY_SHARE], axis=0)
+    kept = ((local >= low) & (local <= high)).all(axis=1)
+    hull: Array = kernels.convex_hull(ground[kept])
+    side = int(np.argmax(np.abs(turn @ house.rotation[:2, 1])))  # along the shorter side of its house: its depth
+    missing = SQUARE * float((high - low)[1 - side]) - float((high - low)[side])
+    if missing < mine.voxel_size_m:
+        return hull
+    before, after = (_hidden_depth(mine, house, seen_free, turn, low, high, side, up, missing) for up in (False, True))
+    half = 0.5 * missing
+    low[side] -= min(before, max(half, missing - after))
+    high[side] += min(after, max(half, missing - before))
+    corners = np.array([low, [high[0], low[1]], high, [low[0], high[1]]]) @ turn
+    return np.asarray(kernels.convex_hull(np.concatenate([hull, corners]))) if before + after > 0.0 else hull
+
+
+def _hidden_depth(
+    mine: Shape, house: Box, seen_free: Callable[[Array], Array], turn: Array, low: Array, high: Array, side: int,
+    up: bool, most: float,
+) -> float:  # fmt: skip
+    """How far [m], up to `most`, slices beyond one end of a thing's rectangle lie in its house and were not seen to be
+    free."""
+    step = mine.voxel_size_m
+    depths = step * (1 + np.arange(int(np.ceil(most / step - 1e-9))))
+    across = np.linspace(low[1 - side] + 0.5 * step, high[1 - side] - 0.5 * step, SLICE_SAMPLES[0])
+    lift = min(MARGIN_M, 0.3 * (mine.highest - mine.lowest))
+    heights = np.linspace(mine.lowest + lift, mine.highest - lift, SLICE_SAMPLES[1])
+    d, a, z = np.meshgrid(depths, across, heights, indexing="ij")
+    local = np.empty((d.size, 2))
+    local[:, side] = high[side] + d.ravel() if up else low[side] - d.ravel()
+    local[:, 1 - side] = a.ravel()
+    at = np.column_stack([local @ turn, z.ravel()])
+    hidden = (~seen_free(at)).reshape(len(depths), -1).mean(axis=1) >= HIDDEN_SHARE
+    hidden &= house.contains(at, 0.0).reshape(len(depths), -1).mean(axis=1) >= WITHIN_SHARE
+    return min(most, step * float(np.logical_and.accumulate(hidden).sum()))
