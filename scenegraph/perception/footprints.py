@@ -30,14 +30,26 @@ WITHIN_SHARE = 0.6
 SLICE_SAMPLES = (5, 4)
 """Points of a slice across and up."""
 MARGIN_M = 0.02
+DEEPEST_M = 0.4
+"""No footprint is completed by more than this."""
 
 
 def house_of(mine: Shape, others: Mapping[str, Shape]) -> str | None:
     """The thing (the smallest of `others`) in whose box a thing stands, under a part of it."""
+    low, high = mine.bounds
+    middle = 0.5 * (low + high)[:2]
+    about = [
+        name
+        for name, other in others.items()
+        if other.lowest < mine.lowest < other.highest - HEADROOM_M
+        and (other.bounds[0][:2] <= middle).all()
+        and (other.bounds[1][:2] >= middle).all()
+    ]
+    if not about:
+        return None
     start = np.column_stack([mine.footing, np.full(len(mine.footing), mine.lowest)])
-    for name, other in sorted(others.items(), key=lambda item: (float(item[1].box.size.prod()), item[0])):
-        within = other.lowest < mine.lowest < other.highest - HEADROOM_M
-        if within and float(other.box.contains(start, 0.5 * other.voxel_size_m).mean()) >= HOUSED_SHARE:
+    for name in sorted(about, key=lambda name: (float(others[name].box.size.prod()), name)):
+        if float(others[name].box.contains(start, 0.5 * others[name].voxel_size_m).mean()) >= HOUSED_SHARE:
             return name
     return None
 
@@ -55,7 +67,7 @@ def completed(mine: Shape, house: Box, seen_free: Callable[[Array], Array]) -> A
     kept = ((local >= low) & (local <= high)).all(axis=1)
     hull: Array = kernels.convex_hull(ground[kept])
     side = int(np.argmax(np.abs(turn @ house.rotation[:2, 1])))  # along the shorter side of its house: its depth
-    missing = SQUARE * float((high - low)[1 - side]) - float((high - low)[side])
+    missing = min(SQUARE * float((high - low)[1 - side]) - float((high - low)[side]), DEEPEST_M)
     if missing < mine.voxel_size_m:
         return hull
     before, after = (_hidden_depth(mine, house, seen_free, turn, low, high, side, up, missing) for up in (False, True))

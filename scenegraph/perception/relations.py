@@ -33,7 +33,7 @@ from scenegraph.perception.contacts import (
     some,
     tolerance,
 )
-from scenegraph.perception.footprints import completed, house_of
+from scenegraph.perception.footprints import DEEPEST_M, completed, house_of
 from scenegraph.perception.lines import Lines
 from scenegraph.perception.neighbours import GroundIndex
 from scenegraph.perception.shapes import Shape
@@ -170,12 +170,13 @@ class Relations:
     def _may_rest(self, other: str, thing: str, shapes: Mapping[str, Shape]) -> bool:
         """Whether what `other` rests on, hangs from or is fixed to may have changed with `thing`."""
         mine, theirs = shapes[thing], shapes[other]
-        if _ground_gap(mine.bounds, theirs.bounds) > tolerance(mine):
-            return False
         firm = any(
             key[0] == "contact" and key[1] == other and self._facts[key] >= FIRM_SHARE for key in self._keys_of[other]
         )
-        return not firm or theirs.lowest >= mine.lowest - 0.1
+        apart = _ground_gap(mine.bounds, theirs.bounds)
+        if not firm:
+            return apart <= BACK_M  # what is about it was hardly seen: it may have been by now
+        return apart <= tolerance(mine) and theirs.lowest >= mine.lowest - 0.1
 
     def _look_between(self, pairs: set[Pair], shapes: Mapping[str, Shape]) -> MeasurementChange:
         """Note how many things stand between the things of each pair, where both rest on the same."""
@@ -287,7 +288,8 @@ class Relations:
                 fresh["path_gap_lower", a, b] = min(lower, NO_PATH_M)
                 if upper <= near:
                     self._lines.put((a, b), *shape_a.line_to(shape_b, reach, p, q))
-        overlap = _overlap(footprints(a), footprints(b))
+        beside = _ground_gap(shape_a.bounds, shape_b.bounds) <= DEEPEST_M
+        overlap = _overlap(footprints(a), footprints(b)) if beside else 0.0
         if overlap > 0.0:
             fresh["footprint_overlap", a, b] = min(1.0, overlap)
             for upper_thing, lower_thing in ((a, b), (b, a)):
