@@ -278,34 +278,34 @@ class Objects:
             self._bury(instance_id, None, changes, reshaped)  # a node's layer never changes: it starts anew
             node_id = None
         before = None if node_id is None else self.shapes.get(node_id)
-        if before is not None and not significantly_different(before, shape):
+        if before is not None and (shape is before or not significantly_different(before, shape)):
             shape = before
         elif node_id is not None:
             reshaped.add(node_id)
-        attributes: dict[str, Any] = {"voxels": len(shape.points), "views": instance.views}
+        name = node_id or (None if structural else self.inherited(shape, label))
+        name = name or self._name(instance_id, structural, graph)
+        first_seen_ns = instance.first_seen_ns
+        if node_id is not None and node_id in graph:
+            first_seen_ns = min(first_seen_ns, graph.node(node_id).first_seen_ns)
         node = Node(
-            id=node_id
-            or (None if structural else self.inherited(shape, label))
-            or self._name(instance_id, structural, graph),
+            id=name,
             layer="structure" if structural else "object",
             label=label,
             position=shape.box.center,
             box=shape.box,
-            first_seen_ns=instance.first_seen_ns,
+            confidence=self._confidence(name, instance),
+            first_seen_ns=first_seen_ns,
             last_seen_ns=instance.last_seen_ns,
-            attributes=attributes,
+            attributes={"voxels": len(shape.points), "views": instance.views},
         )
         look = Look.of(node, instance.colors)
-        if node_id is not None:
-            if node_id in graph:
-                node = node.replace(first_seen_ns=min(node.first_seen_ns, graph.node(node_id).first_seen_ns))
-        else:
+        if node_id is None:
             node = self._arrive(node, instance_id, graph, stamp_ns)
             reshaped.add(node.id)
         if self.labels.get(node.id) != label:
             reshaped.add(node.id)
         self.shapes[node.id], self.labels[node.id], self._looks[node.id] = shape, label, look
-        changes.put(node.replace(confidence=self._confidence(node.id, instance)))
+        changes.put(node)
 
     def _measure(self, instance: Instance, node_id: str | None, instances: InstanceMap) -> Shape | None:
         """The shape of an instance; that of its node where little was learnt since. None: it has too few voxels."""

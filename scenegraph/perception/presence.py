@@ -21,6 +21,7 @@ from mapping.view import DepthView
 from scenegraph.perception.shapes import Shape
 
 Array: TypeAlias = NDArray[Any]
+Cell: TypeAlias = tuple[int, int, int]
 
 CONTRARY_LOOKS = 3.0
 """A thing has gone after so many contrary looks without one that saw it; one that was hardly seen before, after half as
@@ -58,11 +59,13 @@ class Presence:
         self._looked_ns: dict[str, int] = {}
         self._samples: dict[str, Array] = {}
         self._face_m2: dict[str, float] = {}
-        self._cells: defaultdict[tuple[int, int, int], set[str]] = defaultdict(set)
+        self._within: dict[str, set[Cell]] = {}
+        self._cells: defaultdict[Cell, set[str]] = defaultdict(set)
 
     def place(self, node_id: str, shape: Shape | None) -> None:
         """Take note of where a thing is now; None: nowhere."""
-        for cell in _cells(self._samples.pop(node_id, np.empty((0, 3)))):
+        self._samples.pop(node_id, None)
+        for cell in self._within.pop(node_id, ()):
             self._cells[cell].discard(node_id)
             if not self._cells[cell]:
                 del self._cells[cell]
@@ -74,7 +77,8 @@ class Presence:
         samples = points[np.linspace(0, len(points) - 1, min(len(points), SAMPLES)).astype(int)].astype(np.float64)
         self._samples[node_id] = samples
         self._face_m2[node_id] = len(points) * shape.voxel_size_m**2
-        for cell in _cells(samples):
+        self._within[node_id] = _cells(samples)
+        for cell in self._within[node_id]:
             self._cells[cell].add(node_id)
 
     def look(
@@ -170,9 +174,9 @@ class Presence:
         self.doubts = {node_id: float(doubt) for node_id, doubt in document.items()}
 
 
-def _cells(points: Array) -> list[tuple[int, int, int]]:
+def _cells(points: Array) -> set[Cell]:
     """The cells in which points (N, 3) lie."""
-    return [(i, j, k) for i, j, k in np.unique(np.floor(points / CELL_M).astype(int), axis=0).tolist()]
+    return {(i, j, k) for i, j, k in np.floor(points / CELL_M).astype(int).tolist()}
 
 
 def _judge(
