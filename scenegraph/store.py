@@ -35,7 +35,7 @@ from scenegraph.graph import SceneGraph, pack, unpack
 
 __all__ = ["FORMAT_VERSION", "WorldParts", "load_graph", "load_world", "save_graph", "save_world"]
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 """Version of the file format; files of other versions are refused."""
 
 _Description = tuple[str, str, str, tuple[int, ...], int]  # layer, array, dtype, shape, number of chunks
