@@ -320,10 +320,8 @@ class _Join:
 
 
 def _polygon(node: Node) -> Any:
-    footprint = node.attributes.get("footprint")
-    if not (isinstance(footprint, list) and len(footprint) >= 3):
-        return None
-    return shapely.make_valid(shapely.Polygon([corner[:2] for corner in footprint]))
+    footprint = node.footprint
+    return None if footprint is None else shapely.make_valid(shapely.Polygon(footprint))
 
 
 def _better(one: Node, other: Node, distance_m: float) -> tuple[bool, str]:

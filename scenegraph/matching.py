@@ -124,7 +124,7 @@ def _structure(ours: Sequence[Node], theirs: Sequence[Node]) -> _Candidates:
     found: _Candidates = []
     for finder, is_plane in ((_things, False), (_planes, True)):
         rows = [
-            [k for k, node in enumerate(nodes) if ("normal" in node.attributes) is is_plane] for nodes in (ours, theirs)
+            [k for k, node in enumerate(nodes) if (_normal(node) is not None) is is_plane] for nodes in (ours, theirs)
         ]
         if rows[0] and rows[1]:
             for pair, score in finder([ours[k] for k in rows[0]], [theirs[k] for k in rows[1]]):
@@ -135,7 +135,7 @@ def _structure(ours: Sequence[Node], theirs: Sequence[Node]) -> _Candidates:
 def _planes(ours: Sequence[Node], theirs: Sequence[Node]) -> _Candidates:
     a, b = _Boxes(ours, PLANE_GROWN_M), _Boxes(theirs, PLANE_GROWN_M)
     i, j = a.near(b, 0.0)
-    normals = [np.array([node.attributes["normal"] for node in nodes], np.float64) for nodes in (ours, theirs)]
+    normals = [np.array([_normal(node) for node in nodes], np.float64) for nodes in (ours, theirs)]
     one, other = normals[0][i], normals[1][j]
     turn = np.arccos(np.clip(np.abs((one * other).sum(axis=1)), 0.0, 1.0))
     offset = np.abs((one * (b.positions[j] - a.positions[i])).sum(axis=1))
@@ -285,6 +285,15 @@ def _corners(node: Node, grown: float) -> Array:
     return box.corners()
 
 
+def _normal(node: Node) -> Array | None:
+    """The normal (3,) of a node that is a plane."""
+    try:
+        normal = np.array(node.attributes.get("normal"), np.float64)
+    except (TypeError, ValueError):
+        return None
+    return normal if normal.shape == (3,) and bool(np.isfinite(normal).all()) else None
+
+
 def _distance(a: Node, b: Node) -> float:
     return float(np.linalg.norm(a.position - b.position))
 
@@ -296,9 +305,9 @@ def _floor(node: Node) -> float:
 
 def _outline(node: Node) -> Any:
     """A room's footprint, else the ground projection of its box, else a disc about its position."""
-    footprint = node.attributes.get("footprint")
-    if isinstance(footprint, list) and len(footprint) >= 3:
-        return shapely.make_valid(shapely.Polygon([corner[:2] for corner in footprint]))
+    footprint = node.footprint
+    if footprint is not None:
+        return shapely.make_valid(shapely.Polygon(footprint))
     if node.box is not None:
         return shapely.MultiPoint(node.box.corners()[:, :2]).convex_hull
     return shapely.Point(node.position[:2]).buffer(0.5)

@@ -271,8 +271,8 @@ def shares_in(ground: NDArray[Any], rooms: Iterable[Node]) -> dict[str, float]:
     points = shapely.points(ground)
     shares: dict[str, float] = {}
     for room in rooms:
-        footprint = room.attributes.get("footprint")
-        if isinstance(footprint, list) and len(footprint) >= 3:
+        footprint = room.footprint
+        if footprint is not None:
             share = float(shapely.contains(shapely.make_valid(shapely.Polygon(footprint)), points).mean())
             if share > 0.0:
                 shares[room.id] = share

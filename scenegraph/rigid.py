@@ -6,9 +6,11 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mapping.geometry import SE3
 from scenegraph.graph import Box, Edge, Node
+from scenegraph.graph.node import footprint_in
 
 __all__ = ["moved", "moved_box", "moved_edge"]
 
@@ -34,7 +36,7 @@ def moved(node: Node, T: SE3) -> Node:
     attributes = {name: _moved_attribute(name, value, node, T) for name, value in node.attributes.items()}
     box = None if node.box is None else moved_box(node.box, T)
     if box is not None and node.layer in ("room", "storey", "building"):
-        box = _about(box, attributes.get("footprint"))
+        box = _about(box, footprint_in(attributes))
     return node.replace(position=position, box=box, attributes=attributes)
 
 
@@ -51,13 +53,12 @@ def moved_edge(edge: Edge, T: SE3, height: float) -> Edge:
     return edge.replace(attributes={**edge.attributes, "at": at})
 
 
-def _about(box: Box, footprint: Any) -> Box:
+def _about(box: Box, footprint: NDArray[np.float64] | None) -> Box:
     """The box along the axes of the map about a footprint, where there is one, or about another box."""
     corners = box.corners()
     low, high = corners.min(axis=0), corners.max(axis=0)
-    if isinstance(footprint, list) and len(footprint) >= 3:
-        ground = np.array([corner[:2] for corner in footprint], np.float64)
-        low[:2], high[:2] = ground.min(axis=0), ground.max(axis=0)
+    if footprint is not None:
+        low[:2], high[:2] = footprint.min(axis=0), footprint.max(axis=0)
     return Box(center=0.5 * (low + high), size=high - low)
 
 

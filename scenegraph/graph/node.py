@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, Literal, Self, get_args
 
 import numpy as np
@@ -120,6 +121,11 @@ class Node(Value):
             raise ValueError(f"first_seen_ns {self.first_seen_ns} is later than last_seen_ns {self.last_seen_ns}")
         return self
 
+    @property
+    def footprint(self) -> NDArray[np.float64] | None:
+        """(k, 2) corners [m] of its outline on the ground of the map; None where its attribute is missing or none."""
+        return footprint_in(self.attributes)
+
     def replace(self, **fields: Any) -> Node:
         """A copy with some fields changed and checked; what is unchanged is shared. The id and the layer stay."""
         fixed = fields.keys() & {"id", "layer"}
@@ -144,6 +150,18 @@ class Node(Value):
 
     def __hash__(self) -> int:
         return hash((self.id, self.last_seen_ns, *self.position.tolist()))
+
+
+def footprint_in(attributes: Mapping[str, Any]) -> NDArray[np.float64] | None:
+    """What of a node's attributes is its `Node.footprint`: programs and operators may write there what they like."""
+    told = attributes.get("footprint")
+    if not isinstance(told, list) or len(told) < 3:
+        return None
+    try:
+        corners = np.array([corner[:2] for corner in told], np.float64)
+    except (TypeError, ValueError):
+        return None
+    return corners if corners.shape == (len(told), 2) and bool(np.isfinite(corners).all()) else None
 
 
 class Tombstone(Value):

@@ -47,9 +47,10 @@ def gltf_bytes(graph: SceneGraph, mesh: Mesh | None = None) -> bytes:
 def _thing(node: Node, file: _File) -> dict[str, Any]:
     shown = str(node.attributes.get("name") or node.label)
     made: dict[str, Any] = {"name": f"{node.id} {shown}".rstrip(), "extras": node.model_dump(mode="json")}
-    footprint = node.attributes.get("footprint")
-    if node.layer == "room" and isinstance(footprint, list) and len(footprint) >= 3:
-        height = float(node.attributes.get("floor_z", node.position[2]))
+    footprint = node.footprint
+    if node.layer == "room" and footprint is not None:
+        floor_z = node.attributes.get("floor_z")
+        height = float(floor_z if isinstance(floor_z, int | float) else node.position[2])
         return {**made, "mesh": file.floor(footprint, height, node.label)}
     if node.box is None:
         return {**made, "translation": node.position.tolist()}
@@ -96,8 +97,8 @@ class _File:
             self._box_of[label, opacity] = self._mesh(label, self._cube, self._material(label, opacity))
         return self._box_of[label, opacity]
 
-    def floor(self, footprint: list[list[float]], height: float, label: str) -> int:
-        """The mesh of a polygon (corners x, y [m]) at a height, seen from above and below."""
+    def floor(self, footprint: NDArray[np.float64], height: float, label: str) -> int:
+        """The mesh of a polygon (corners (k, 2) [m]) at a height, seen from above and below."""
         pieces = shapely.constrained_delaunay_triangles(shapely.make_valid(shapely.Polygon(footprint)))
         rings = [shapely.get_coordinates(piece)[:3] for piece in shapely.get_parts(pieces)]
         corners = np.concatenate(rings) if rings else np.zeros((3, 2))

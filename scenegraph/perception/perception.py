@@ -45,6 +45,13 @@ Array: TypeAlias = NDArray[Any]
 BUILDING = "building_1"
 FARTHEST_UP_M = 1e4
 """No thing lies higher or lower."""
+MEASURED = frozenset({
+    "area_m2", "ceiling_z", "clearance_m", "floor_seen", "floor_z", "footprint", "height_m", "known_as", "moved_from",
+    "moved_ns", "moving", "normal", "number", "offset", "polygon", "returned_ns", "speed", "split_from", "storey",
+    "trajectory", "trajectory_ns", "trajectory_step_m", "traversable", "type_reason", "velocity", "views", "voxels",
+    "width_m",
+})  # fmt: skip
+"""Attributes that perception writes and reads again; an operator sets others."""
 BESIDE_VOXELS = 1.5
 """Surface of the map so near a box that was detected is the thing's."""
 
@@ -166,6 +173,11 @@ class Perception:
             case "rename", (str(node), name):
                 changes.put(_with(graph.node(node), name=str(name)))
             case "set", (str(node), str(key), value):
+                if key in MEASURED:
+                    raise InvalidStatement(
+                        f"set: {key} is what was measured of {node}",
+                        hint="rooms are drawn with room(Name, [[X, Y], …])",
+                    )
                 reason = {"type_reason": f"told by {told.author}"} if key == "type" else {}
                 changes.put(_with(graph.node(node), **{key: value}, **reason))
             case "delete", (str(node),):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegraph.graph import EdgeTable, NodeTable
-from scenegraph.relating.measuring import Measured
+from scenegraph.relating.measuring import FOOTING_HEIGHT_M, Measured
 from scenegraph.relating.things import OBJECT, STRUCTURE
 from scenegraph.relating.thresholds import Thresholds
 
@@ -179,7 +179,7 @@ def _decide_above(measured: Measured, thresholds: Thresholds, on: tuple[Array, A
 
 
 def _decide_near(measured: Measured, thresholds: Thresholds, found: _Found) -> None:
-    """near/2 and touching/2: both from the gap, one along a way that is clear."""
+    """near/2 and touching/2: both from the gap, one along a way that is clear; or one rests firmly on the other."""
     a, b = measured.pairs.T
     sides = 0.5 * (measured.longer_side[a] + measured.longer_side[b])
     near_within = np.clip(sides, thresholds.near_least, thresholds.near_most)
@@ -188,3 +188,24 @@ def _decide_near(measured: Measured, thresholds: Thresholds, found: _Found) -> N
         held = clear & (measured.gap <= distance)
         gap, limit = measured.gap[held], distance[held]
         found.add(name, measured.pairs[held], gap, limit, _below(gap, limit))
+    _decide_touching_firmly(measured, thresholds, found)
+
+
+def _decide_touching_firmly(measured: Measured, thresholds: Thresholds, found: _Found) -> None:
+    """What leans rests on more than its nearest point: it touches what carries enough of its footing."""
+    within, n = thresholds.contact_gap, len(measured.things)
+    near = np.flatnonzero((measured.gap > within) & (measured.gap <= within + FOOTING_HEIGHT_M))
+    firm = np.flatnonzero(measured.contact >= thresholds.contact_share)
+    if not (len(near) and len(firm)):
+        return
+    carried = measured.standing[firm, 0] * n + measured.standing[firm, 1]
+    firm = firm[np.argsort(carried)]
+    carried.sort()
+    a, b = measured.pairs[near].T
+    share = np.zeros(len(near))
+    for pair in (a * n + b, b * n + a):
+        at = np.minimum(carried.searchsorted(pair), len(carried) - 1)
+        share = np.maximum(share, np.where(carried[at] == pair, measured.contact[firm[at]], 0.0))
+    held = share > 0.0
+    ends, share, enough = measured.pairs[near[held]], share[held], thresholds.contact_share
+    found.add("touching", ends, share, enough, _above(share, enough))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mapping.kernels import boxes as kernels
 from scenegraph.graph import LAYERS, Attributes, NodeTable
+from scenegraph.graph.node import footprint_in
 from scenegraph.relating.thresholds import Thresholds
 
 __all__ = ["OBJECT", "ROOM", "SOLID", "STRUCTURE", "Things"]
@@ -93,10 +94,6 @@ class Things:
 
 
 def _ring(attributes: Attributes | None, corners: Array) -> Array:
-    """A room's footprint (k, 2): its attribute where that is a ring, else the ground of its box."""
-    told = None if attributes is None else attributes.get("footprint")
-    try:
-        ring = np.array(corners if told is None else told, np.float64)
-    except (TypeError, ValueError):
-        return corners
-    return ring if ring.ndim == 2 and ring.shape[1] == 2 and len(ring) >= 3 else corners
+    """A room's footprint (k, 2), else the ground of its box."""
+    ring = None if attributes is None else footprint_in(attributes)
+    return corners if ring is None else ring

@@ -16,7 +16,7 @@ from mapping.geometry import SE3
 from scenegraph.cli import app
 from scenegraph.errors import InvalidGraphValue, JoinRefused
 from scenegraph.graph import Box, Edge, GraphChanges, Node, SceneGraph
-from scenegraph.interop import export_graph, read_graph
+from scenegraph.interop import export_graph, read_graph, render_graph
 from scenegraph.joining import JoinReport, join
 from scenegraph.store import save_graph
 from tests.support.furnished import furnished, seen_by_another, turned
@@ -290,6 +290,24 @@ def test_what_names_a_storey_a_thing_or_a_place_of_their_map_names_ours() -> Non
     for number in (1, 2):
         room = far.node(report.ids[f"room_{number}"])
         assert room.attributes["storey"] == storey_of[report.ids[f"storey_{number}"]]
+
+
+@given(
+    st.sampled_from(["footprint", "normal", "floor_z", "storey", "number", "split_from", "trajectory"]),
+    st.sampled_from([3, "x", [1, 2, 3], [[1], [2], [3]], [["a", "b"]] * 3, [[0, 0], [1, 0], [1]], {"a": 1}, None]),
+    poses,
+)
+@settings(max_examples=60)
+def test_attributes_may_hold_anything_when_graphs_are_moved_joined_and_drawn(name: str, value: Any, T: SE3) -> None:
+    home = furnished(2)
+    changes = GraphChanges()
+    for layer in ("room", "storey", "structure", "object"):
+        for node in home.nodes(layer)[:2]:  # type: ignore[arg-type]
+            changes.put(node.replace(attributes={**node.attributes, name: value}))
+    home.commit(changes, 5000)
+    whole, _ = joined(home, home, T)
+    assert len(whole) >= len(home)
+    assert render_graph(whole, "gltf")
 
 
 def test_a_room_seen_in_halves_becomes_whole() -> None:

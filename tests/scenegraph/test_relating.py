@@ -160,6 +160,14 @@ def agree(knowledge: KnowledgeBase, nodes: list[Node]) -> None:
 
 @LAWS
 @given(arrangements)
+@example(  # a table that leans on a cup: what carries its footing lies farther from it than its nearest point
+    [
+        *[(("table", (1.2, 0.7, 0.75)), 0.0, 0.0, 0.0, 0.0, 0, 0.0)] * 5,
+        (("cup", (0.08, 0.08, 0.1)), 0.0, 0.0, 0.0, 0.0, 0, 0.0),
+        (("cup", (0.08, 0.08, 0.1)), 0.0, 0.0, 0.0, 0.0, 1, 0.0),
+        (("table", (1.2, 0.7, 0.75)), 0.0, 0.0, 0.0, 1.0, 1, 0.02),
+    ]
+)
 def test_what_is_decided_on_columns_is_what_the_rules_derive(rules: KnowledgeBase, drawn: list) -> None:
     agree(rules, arranged(drawn))
 

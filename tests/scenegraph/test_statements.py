@@ -261,6 +261,8 @@ def test_statements_are_kept_with_author_and_reason(copy_home: Copy) -> None:
         ("rename(object_4711, 'x')", "unknown_node", "object_4711"),
         ("set(object_4711, a, 1)", "unknown_node", "object_4711"),
         ("delete(object_4711)", "unknown_node", "object_4711"),
+        ("set(room_1, footprint, 3)", "invalid_statement", "footprint is what was measured of room_1"),
+        ("set(object_1, moved_ns, 3)", "invalid_statement", "moved_ns"),
         ("merge(object_1, object_4711)", "unknown_node", "object_4711"),
         ("merge(object_1, object_1)", "invalid_statement", "twice"),
         ("merge(object_1, room_1)", "invalid_statement", "room_1"),
