@@ -30,9 +30,11 @@ Role: TypeAlias = Literal["structure", "support", "underside"]
 or one that looks down, of a ceiling that nobody called so, or of something whose top and sides are there as well."""
 
 FRONT_M = 0.03
+ABOVE_M = 0.025
 BEHIND_M = 0.10
-"""What lies within FRONT_M (a voxel at least) before a structural plane is of it, for surfaces are noisy, and what lies
-within BEHIND_M behind it: the wall's other side, reflections."""
+"""What lies within FRONT_M (a voxel at least) before a structural plane is of it, for surfaces are noisy, or within
+ABOVE_M (half a voxel at least) above a floor, on which low things lie; and what lies within BEHIND_M behind it: the
+wall's other side, reflections."""
 RIM_M = 0.06
 """The rim of a table top reaches so far down."""
 REACH_VOXELS = 1.5
@@ -192,10 +194,12 @@ class ClusterMap:
         given = np.full(len(points), LOOSE, np.uint8)
         normals, offsets = planes.equations(ids)
         above = points @ normals.T.astype(np.float32) - offsets.astype(np.float32)
-        front, reach = max(self.voxel_size_m, FRONT_M), REACH_VOXELS * self.voxel_size_m
+        front, over = max(self.voxel_size_m, FRONT_M), max(0.5 * self.voxel_size_m, ABOVE_M)
+        reach = REACH_VOXELS * self.voxel_size_m
         for k in sorted(range(len(ids)), key=lambda k: self._roles[ids[k]] != "structure"):
             structural = self._roles[ids[k]] == "structure"
-            top, bottom = (front, -BEHIND_M) if structural else (planes.tolerance_m, -RIM_M)
+            before = over if normals[k, 2] > LEVEL else front
+            top, bottom = (before, -BEHIND_M) if structural else (planes.tolerance_m, -RIM_M)
             rows = np.flatnonzero((above[:, k] >= bottom) & (above[:, k] <= top) & (given == LOOSE))
             if len(rows):
                 there = planes.near(ids[k], points[rows], reach, np.inf)

@@ -230,6 +230,17 @@ def test_a_cabinet_before_a_wall_is_no_part_of_the_walls_other_side() -> None:
         assert 1 in matches(world, scene)
 
 
+def test_slippers_on_the_floor_are_things() -> None:
+    shoes = [Block("shoe", (1.2 + 0.5 * n, 2.0, 0.035), (0.1, 0.28, 0.07), n + 1) for n in range(4)]
+    scene = Scene((*shell((0.0, 0.0), (4.0, 4.0)), *shoes))
+    with World() as world:
+        for n, angle in enumerate(np.arange(24) * np.pi / 12):
+            eye = (2.0 + 1.2 * np.cos(angle), 2.0 + 1.2 * np.sin(angle), 1.3)
+            world.integrate(scene.image(looking_at(eye, (2.0, 2.0, 0.0)), n + 1, labelled=False))
+        assert len(matches(world, scene)) == 4
+        assert len(unnamed(world)) == 4
+
+
 # -- identity ----------------------------------------------------------------------------------------------------------
 
 
