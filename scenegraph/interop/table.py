@@ -8,7 +8,7 @@ import math
 from typing import Any
 
 from scenegraph.errors import ExportError
-from scenegraph.graph import Node, SceneGraph
+from scenegraph.graph import Edge, Node, SceneGraph
 
 __all__ = ["object_rows", "objects_csv", "objects_parquet"]
 
@@ -21,7 +21,8 @@ COLUMNS = (
 def object_rows(graph: SceneGraph) -> list[dict[str, Any]]:
     """One mapping from column to value for each object, by id; None where a value is not known.
 
-    `room` is the room it is in, `on` what it stands on, `in` the object that contains it (ids); lengths in metres.
+    `room` is the room it is in, `on` what carries most of it, `in` the object that contains most of it (ids); lengths
+    in metres.
     """
     return [_row(graph, node) for node in sorted(graph.nodes("object"), key=_by_number)]
 
@@ -58,15 +59,15 @@ def objects_parquet(graph: SceneGraph) -> bytes:
 
 
 def _row(graph: SceneGraph, node: Node) -> dict[str, Any]:
-    containers = {graph.node(edge.target).layer: edge.target for edge in graph.edges("in", source=node.id)}
-    supports = graph.edges("on", source=node.id)
+    inside, supports = (_surest_last(graph.edges(relation, source=node.id)) for relation in ("in", "on"))
+    containers = {graph.node(edge.target).layer: edge.target for edge in inside}
     size = [None] * 3 if node.box is None else node.box.size.tolist()
     values = (
         node.id,
         node.label,
         node.attributes.get("name"),
         containers.get("room"),
-        supports[0].target if supports else None,
+        supports[-1].target if supports else None,
         containers.get("object"),
         *node.position.tolist(),
         *size,
@@ -76,6 +77,11 @@ def _row(graph: SceneGraph, node: Node) -> dict[str, Any]:
         node.last_seen_ns,
     )
     return dict(zip(COLUMNS, values, strict=True))
+
+
+def _surest_last(edges: list[Edge]) -> list[Edge]:
+    """By the share that was measured: what stands on two things is listed with what carries more of it."""
+    return sorted(edges, key=lambda edge: (edge.value or 0.0, edge.target))
 
 
 def _by_number(node: Node) -> tuple[str, int]:

@@ -156,6 +156,19 @@ def test_the_table_names_room_and_support_of_each_object() -> None:
     assert (table["on"], table["in"], table["size_x_m"]) == ("structure_0", "", "")
 
 
+@pytest.mark.parametrize("first", ["object_12", "structure_0"])
+def test_what_stands_on_two_things_is_listed_with_what_carries_more_of_it(first: str) -> None:
+    graph, shares = home(), {"object_12": 0.3, "structure_0": 0.6}
+    changes = GraphChanges()
+    changes.delete_edge("on", "object_3", "object_12")
+    graph.commit(changes, graph.stamp_ns + 1)
+    changes = GraphChanges()
+    for support in sorted(shares, key=lambda support: support != first):
+        changes.put(Edge(relation="on", source="object_3", target=support, value=shares[support], **SEEN))
+    graph.commit(changes, graph.stamp_ns + 1)
+    assert [row["on"] for row in object_rows(graph) if row["id"] == "object_3"] == ["structure_0"]
+
+
 def test_our_own_json_is_the_snapshot() -> None:
     graph = home()
     assert SceneGraph.from_snapshot(Snapshot.model_validate_json(render_graph(graph, "json"))) == graph
