@@ -159,6 +159,7 @@ class Objects:
         node_id = self._disown(instance_id)
         look = self._looks.get(node_id)
         self._drop(node_id)
+        self.presence.place(node_id, None)
         reshaped.add(node_id)
         if node_id in graph and look is not None and graph.node(node_id).layer == "object":
             self.reappearance.leave(graph.node(node_id), look, stamp_ns)
@@ -197,6 +198,7 @@ class Objects:
             instances.release(self._instance_of[node_id])
             self._disown(self._instance_of[node_id])
             self._drop(node_id)
+            self.presence.place(node_id, None)
         parts = {i: (self._instance_of[i], self.shapes[i], self._looks[i], self.labels[i]) for i in settled}
         arrivals = {i: self.reappearance.newcomers[i] for i in settled}
         for node_id, was in settled.items():

@@ -259,6 +259,15 @@ def test_what_was_found_elsewhere_before_its_old_place_was_looked_at_becomes_its
     assert world.objects.shapes.keys() == world.objects.labels.keys() == {"object_1", "object_3"}
 
 
+def test_where_a_thing_is_found_again_it_was_not_looked_for_in_vain(world: Watching) -> None:
+    world.objects.presence.doubts["object_1"] = 2.0
+    gone(world, 1)
+    world.seen.put(2, "table", CUBE + ELSEWHERE, now=20)
+    world.update(2)
+    assert world.objects.presence.doubts == {}
+    assert world.graph.node("object_1").confidence == 1.0
+
+
 def test_what_was_just_found_where_nobody_had_been_is_not_what_goes_elsewhere(world: Watching) -> None:
     world.seen.put(2, "table", CUBE + ELSEWHERE, now=MUCH_LATER)
     world.update(2)
