@@ -72,12 +72,14 @@ class Resting:
     shares        node id → share of its footing;  footing_seen  share of its footing that was seen
     level         height [m] at which it rests
     drops         node id → how far its surface is below that [m], where that is no farther than contact reaches
+    hovers        whether no surface at all is so near below that it may carry it, seen or not
     """
 
     shares: dict[str, float]
     footing_seen: float
     level: float
     drops: dict[str, float]
+    hovers: bool = False
 
     @property
     def firmly(self) -> bool:
@@ -119,21 +121,22 @@ def settled(
     """What a thing rests on that nothing else holds: completed straight down to what carries it firmly there, if only
     some of the columns under it were not seen to be free, as where thin legs stand; None where that is nothing."""
     surfaces = _surfaces_under(mine, others, mine.footing, floor, np.inf)
-    top = next((t for t, _, _ in surfaces if mine.lowest - SETTLE_M <= t <= mine.lowest + tolerance(mine)), None)
-    if top is None:
-        return None
     columns = some(mine.ground_samples, MOST_COLUMNS)
-    if top < mine.lowest - tolerance(mine) and not _hidden(mine, top, columns, seen_free).all(axis=0).any():
-        return None
-    rest = _resting_at(mine, top, surfaces, 0.0)
-    return rest if rest.firmly else None
+    reach = tolerance(mine)
+    for top in [top for top, _, _ in surfaces if mine.lowest - SETTLE_M <= top <= mine.lowest + reach]:
+        rest = _resting_at(mine, top, surfaces, 0.0)
+        if rest.firmly:
+            hidden = top >= mine.lowest - reach or _hidden(mine, top, columns, seen_free).all(axis=0).any()
+            return rest if hidden else None
+    return None
 
 
 def _resting_at(mine: Shape, level: float, surfaces: list[tuple[float, str, Array]], seen: float) -> Resting:
     reach = tolerance(mine)
     shares = _first_below(mine.footing, surfaces, level, reach)
     drops = {owner: max(0.0, level - top) for top, owner, _ in reversed(surfaces) if abs(level - top) <= reach}
-    return Resting(shares, seen, level, drops)
+    hovers = not any(level - HOVER_M <= top <= level + reach for top, _, _ in surfaces)
+    return Resting(shares, seen, level, drops, hovers)
 
 
 def hanging(mine: Shape, others: Mapping[str, Shape], ceiling: Level) -> dict[str, float]:
