@@ -20,6 +20,7 @@ from scenegraph.perception.contacts import (
     BACK_M,
     CONTACT_MARGIN_M,
     FIRM_SHARE,
+    HOVER_M,
     MOST_INSIDE,
     Wall,
     enclosed,
@@ -345,7 +346,7 @@ class Relations:
         found: dict[tuple[str, ...], float] = {}
         if not rest.firmly:
             below = housed(mine, under, around.seen_free) or settled(mine, under, floor, around.seen_free)
-            if rest.hovers:
+            if rest.hovers and (below is None or mine.lowest - below.level > HOVER_M):
                 ceiling = around.ceiling_above(x, y, mine.highest)
                 walls = around.walls_beside(low - BACK_M, high + BACK_M)
                 held = [("top_contact", hanging(mine, under, ceiling))]
