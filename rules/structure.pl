@@ -60,6 +60,7 @@ Example: a table top above a floor cannot be a floor as well.
     Labels = [1-floor, 2-no_feature].
 */
 
+:- use_module(library(apply)).
 :- use_module(library(lists)).
 :- use_module(library(pairs)).
 :- use_module(library(assoc)).
@@ -339,6 +340,10 @@ weight(plane(_, Facing, ZMin, ZMax, _, Area, _), Weight) :-
 %   Shares: Label-Share for each label that classes on the plane support.
 %   Against: the share of classes that are no structure.
 
+shares(plane(_, _, _, _, _, _, weighed(Shares0, Against0)), Shares, Against) :-
+    !,
+    Shares = Shares0,
+    Against = Against0.
 shares(plane(_, _, _, _, _, _, Evidence), Shares, Against) :-
     findall(Label-Share, supporting_share(Evidence, Label, Share), Pairs),
     keysort(Pairs, Sorted),
@@ -512,8 +517,8 @@ on_floor(Planes, Relations, OnFloor) :-
               over(Relation, Upper, Lower),
               get_assoc(Upper, PlaneOf, Leaf),
               get_assoc(Lower, PlaneOf, Floor),
-              once(label_cost(Floor, floor, _)),
-              measures(above, door, Leaf, floor, Floor)
+              measures(above, door, Leaf, floor, Floor),
+              once(label_cost(Floor, floor, _))
             ),
             Standing),
     sort(Standing, Ids),
@@ -577,7 +582,8 @@ costs([Plane|Planes], Labels, Cost0, Cost) :-
 
 label_planes([], _, []) :-
     !.
-label_planes(Planes, Relations, Labels) :-
+label_planes(Planes0, Relations, Labels) :-
+    maplist(weighed, Planes0, Planes),
     length(Planes, N),
     compound_name_arguments(Vector, planes, Planes),
     compound_name_arity(Options, options, N),
@@ -598,6 +604,15 @@ label_planes(Planes, Relations, Labels) :-
     read_labels(Planes, Sorted, Labels).
 
 unbounded(1.0e12).
+
+%   weighed(+Plane0, -Plane): with the evidence summed up once, weighed(Shares, Against), in its place.
+weighed(Plane0, Plane) :-
+    Plane0 = plane(Id, Facing, ZMin, ZMax, Width, Area, Evidence),
+    (   Evidence = given(_)
+    ->  Plane = Plane0
+    ;   shares(Plane0, Shares, Against),
+        Plane = plane(Id, Facing, ZMin, ZMax, Width, Area, weighed(Shares, Against))
+    ).
 
 chosen([], _, Choice, Choice).
 chosen([I|Is], Domains, Choice, [I-Bit|Bits]) :-
