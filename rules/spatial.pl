@@ -327,22 +327,31 @@ judged(blocks, A, Door, Truth, [test(clear_width, Width, <, robot_width, Needed)
 %   footing_in_contact(+A, +B, -Test): one rests on the other, where the surfaces between were not seen.
 footing_in_contact(A, B, test(contact, Share, >=, contact_share, Enough)) :-
     contact_share(Enough),
-    (   firm_contact(A, B, Enough, Share)
-    ->  true
-    ;   firm_contact(B, A, Enough, Share)
-    ).
-
-firm_contact(A, B, Enough, Share) :-
-    measured(contact, A, B, Share),
-    number(Share),
+    share_in_contact(A, B, ShareA),
+    share_in_contact(B, A, ShareB),
+    Share is max(ShareA, ShareB),
     Share >= Enough.
+
+share_in_contact(A, B, Share) :-
+    (   measured(contact, A, B, Known),
+        number(Known)
+    ->  Share = Known
+    ;   Share = -1
+    ).
 
 %   surface_below(+A, +B, +Gap, -Test): the surface of one goes on, unseen, close below the other.
 surface_below(A, B, Enough, test(drop, Drop, =<, contact_gap, Enough)) :-
-    ( measured(drop, A, B, Drop) ; measured(drop, B, A, Drop) ),
-    number(Drop),
-    Drop =< Enough,
-    !.
+    drop_to(A, B, DropA),
+    drop_to(B, A, DropB),
+    Drop is min(DropA, DropB),
+    Drop =< Enough.
+
+drop_to(A, B, Drop) :-
+    (   measured(drop, A, B, Known),
+        number(Known)
+    ->  Drop = Known
+    ;   no_way(Drop)
+    ).
 
 %   beside(+Near, +NearTest, +A, +B, -Truth, -Tests): two things that are near, are they next to each other?
 beside(false, NearTest, _, _, Truth, [NearTest]) :- !, Truth = false.

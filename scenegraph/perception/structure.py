@@ -32,8 +32,8 @@ from scenegraph.perception.plane_relations import (
 
 Array: TypeAlias = NDArray[Any]
 
-Labeller: TypeAlias = Callable[[Sequence[PlaneFacts], Sequence[Relation]], Mapping[int, str]]
-"""Planes and relations (name, id, id) → a label for every plane."""
+Labeller: TypeAlias = Callable[[Sequence[PlaneFacts], Sequence[Relation]], Callable[[], Mapping[int, str]]]
+"""Planes and relations (name, id, id) → what gives, and waits for, a label for every plane."""
 Evidence: TypeAlias = Callable[[Array], Mapping[str, float]]
 """Points (N, 3) [m] on a plane → class → share of the points that carry it; what carries no label is left out."""
 
@@ -46,11 +46,11 @@ def no_evidence(_: Array) -> Mapping[str, float]:
 def rules_labeller(knowledge: KnowledgeBase, *, timeout_s: float = 5.0) -> Labeller:
     """Labels by the rules: `label_planes/3` of `rules/structure.pl`, asked of a knowledge base."""
 
-    def label(planes: Sequence[PlaneFacts], relations: Sequence[Relation]) -> dict[int, str]:
+    def label(planes: Sequence[PlaneFacts], relations: Sequence[Relation]) -> Callable[[], dict[int, str]]:
         told = ",".join(map(_plane_text, planes))
         related = ",".join([f"relation({name},{a},{b})" for name, a, b in relations])
-        answer = knowledge.call(f"label_planes([{told}],[{related}],Labels)", timeout_s=timeout_s)[0]["Labels"]
-        return {int(pair.args[0]): pair.args[1].name for pair in answer}  # type: ignore[union-attr]
+        answers = knowledge.begin(f"label_planes([{told}],[{related}],Labels)", timeout_s=timeout_s)
+        return lambda: {int(pair.args[0]): pair.args[1].name for pair in answers()[0]["Labels"]}  # type: ignore[union-attr]
 
     return label
 
@@ -109,6 +109,13 @@ class Structure:
         self, planes: PlaneMap, change: PlaneChange, evidence: Evidence, label: Labeller, stamp_ns: int
     ) -> GraphChanges:
         """Measure and label what changed; returns the changes of the structure nodes `plane_<id>`."""
+        return self.look(planes, change, evidence, label, stamp_ns)()
+
+    def look(
+        self, planes: PlaneMap, change: PlaneChange, evidence: Evidence, label: Labeller, stamp_ns: int
+    ) -> Callable[[], GraphChanges]:
+        """As `update`, in two steps: what changed is measured at once; what is returned waits for the labels and gives
+        the changes. To be called before the next look."""
         changes = GraphChanges()
         self.fresh = []
         active = {i for i in self._unsettled if i in self._seen}
@@ -122,16 +129,23 @@ class Structure:
             self._relate(plane_id, planes)
         active |= set(noticed)
         self._unsettled = active  # stays so, if labelling fails
-        flipped = self._relabel(active, label) if active else set()
-        self._unsettled = flipped - set(noticed)
-        for plane_id in sorted({*noticed, *flipped}):
-            self._put(planes.plane(plane_id), plane_id in changed, stamp_ns, changes)
-        for plane_id in changed - set(noticed) - flipped:
-            node = self._node[plane_id]
-            if stamp_ns - node.last_seen_ns >= self.refresh_ns:
-                self._node[plane_id] = node = node.replace(last_seen_ns=stamp_ns)
-                changes.put(node)
-        return changes
+        flip = self._relabel(active, label) if active else set
+        for plane_id in noticed:
+            planes.plane(plane_id)  # described while the labels are found
+
+        def settle() -> GraphChanges:
+            flipped = flip()
+            self._unsettled = flipped - set(noticed)
+            for plane_id in sorted({*noticed, *flipped}):
+                self._put(planes.plane(plane_id), plane_id in changed, stamp_ns, changes)
+            for plane_id in changed - set(noticed) - flipped:
+                node = self._node[plane_id]
+                if stamp_ns - node.last_seen_ns >= self.refresh_ns:
+                    self._node[plane_id] = node = node.replace(last_seen_ns=stamp_ns)
+                    changes.put(node)
+            return changes
+
+        return settle
 
     def dismiss(self, node_id: str) -> list[int]:
         """Give up the plane behind a node, for as long as it lasts; returns its id, if there is one."""
@@ -240,8 +254,9 @@ class Structure:
                 mine[other] = found
                 self._between.setdefault(other, {})[plane_id] = found
 
-    def _relabel(self, active: set[int], label: Labeller) -> set[int]:
-        """Label the active planes and their neighbours anew; returns those whose label changed or is new."""
+    def _relabel(self, active: set[int], label: Labeller) -> Callable[[], set[int]]:
+        """Label the active planes and their neighbours anew; what is returned gives those whose label changed or is
+        new."""
         free = set(active)
         for plane_id in active:
             free.update(
@@ -258,12 +273,14 @@ class Structure:
             for relation in found
         ]
         labels = label(facts, relations)
-        flipped = set()
-        for i in free:
-            if self._label.get(i) != labels[i]:
-                flipped.add(i)
-                self._label[i] = labels[i]
-        return flipped
+
+        def flip() -> set[int]:
+            found = labels()
+            flipped = {i for i in free if self._label.get(i) != found[i]}
+            self._label.update({i: found[i] for i in flipped})
+            return flipped
+
+        return flip
 
     def _put(self, plane: Plane, seen_now: bool, stamp_ns: int, changes: GraphChanges) -> None:
         old = self._node.get(plane.id)

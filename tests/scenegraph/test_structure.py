@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -41,7 +41,7 @@ class Home:
         self._label = label
         self._now = 0
 
-    def label(self, planes: Sequence[PlaneFacts], relations: Sequence[Relation]) -> Mapping[int, str]:
+    def label(self, planes: Sequence[PlaneFacts], relations: Sequence[Relation]) -> Callable[[], Mapping[int, str]]:
         self.calls.append((planes, relations))
         return self._label(planes, relations)
 
@@ -247,8 +247,11 @@ def test_planes_that_could_not_be_labelled_are_labelled_next_time(label: Labelle
     assert home.label_at(table) == "no_feature"
 
 
-def _out_of_time(_: Sequence[PlaneFacts], __: Sequence[Relation]) -> Mapping[int, str]:
-    raise TimeoutError
+def _out_of_time(_: Sequence[PlaneFacts], __: Sequence[Relation]) -> Callable[[], Mapping[int, str]]:
+    def too_late() -> Mapping[int, str]:
+        raise TimeoutError
+
+    return too_late
 
 
 # -- nodes -------------------------------------------------------------------------------------------------------
