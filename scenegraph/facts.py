@@ -22,6 +22,7 @@ __all__ = [
     "value_of",
 ]
 
+_DECIMALS = 4
 _NOT_NAME = re.compile(r"[^a-z0-9]+")
 
 
@@ -32,16 +33,19 @@ def class_atom(label: str) -> str:
 
 
 def node_facts(node: Node) -> Iterator[Compound]:
-    """What the rules know of a node: its layer, class, place, size, confidence, times and plain attributes."""
+    """What the rules know of a node: its layer, class, place, size, confidence, times and plain attributes.
+
+    Lengths and angles go to a tenth of a millimetre and of a mrad: many are told with every image, and texts are short.
+    """
     subject = Atom(node.id)
-    x, y, z = node.position.tolist()
+    x, y, z = (round(metres, _DECIMALS) for metres in node.position.tolist())
     yield Compound("node", (subject, Atom(node.layer)))
     yield Compound("label", (subject, Atom(class_atom(node.label))))
     yield Compound("position", (subject, x, y, z))
     if node.box is not None:
-        yield Compound("size", (subject, *node.box.size.tolist()))
-        yield Compound("yaw", (subject, node.box.yaw))
-    yield Compound("confidence", (subject, float(node.confidence)))
+        yield Compound("size", (subject, *(round(metres, _DECIMALS) for metres in node.box.size.tolist())))
+        yield Compound("yaw", (subject, round(node.box.yaw, _DECIMALS)))
+    yield Compound("confidence", (subject, round(float(node.confidence), _DECIMALS)))
     yield Compound("seen", (subject, node.first_seen_ns, node.last_seen_ns))
     told = str(node.attributes.get("type_reason", "")).startswith("told")
     for key, value in node.attributes.items():
