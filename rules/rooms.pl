@@ -48,6 +48,11 @@ speaks_for(bed,             bedroom,     2.0).
 speaks_for(nightstand,      bedroom,     0.8).
 speaks_for(wardrobe,        bedroom,     0.7).
 speaks_for(pillow,          bedroom,     0.2).
+speaks_for(bed,             child_room,  1.6).      % toys make a child's of a bedroom, but none of a hallway
+speaks_for(teddy_bear,      child_room,  0.5).
+speaks_for(toy_block,       child_room,  0.3).
+speaks_for(ball,            child_room,  0.2).
+speaks_for(nightstand,      child_room, -0.5).
 speaks_for(toilet,          bathroom,    2.0).
 speaks_for(bathtub,         bathroom,    2.0).
 speaks_for(shower,          bathroom,    2.0).

@@ -134,7 +134,7 @@ kind(statue, decoration).               kind(decoration, artefact).
 kind(plant, living_thing).              kind(person, living_thing).
 kind(cat, living_thing).                kind(dog, living_thing).
 kind(toy, artefact).                    kind(ball, toy).
-kind(teddy_bear, toy).                  kind(umbrella, artefact).
+kind(teddy_bear, toy).                  kind(toy_block, toy).                  kind(umbrella, artefact).
 kind(soap, artefact).                   kind(toothbrush, artefact).
 kind(toilet_paper, artefact).           kind(bicycle, artefact).
 kind(piano, artefact).                  kind(guitar, artefact).

@@ -5,7 +5,8 @@
   place was looked at again; `lasting.removed_noticed`: of the things that have gone from such places, those without a
   node there.
 - `lasting.moved_keep_id`, `lasting.stayed_keep_id`: of the things that had a node after the first tour and count on the
-  second, those that have it still, where they are now.
+  second, those that have it still, where they are now; `lasting.added_new_id`: of the things that were brought in and
+  found, those that did not get the id of another.
 - `objects.duplicates`, `second_tour.objects.duplicates`: share of object nodes that are another node of a thing that
   has its own.
 """
@@ -132,6 +133,10 @@ def judge_second_tour(
             f"{seed}: {i} ({name.split('.')[1].split('_')[0]}) was {node_before[i]} and is {node_after.get(i)}"
             for i in lost
         ]
+    added = [i for i in sorted(change.added & look.countable) if i in node_after]
+    taken = [i for i in added if node_after[i] in before]
+    result.count("lasting.added_new_id", len(added) - len(taken), len(added))
+    result.notes += [f"{seed}: {i} (added) is {node_after[i]}, which was {before[node_after[i]]}" for i in taken]
     return after
 
 

@@ -26,10 +26,13 @@ MOST_REMEMBERED = 1000
 SIZE_LOG = 0.15
 SIZE_M = 0.03
 """Edges of two boxes of one thing differ by this factor (natural logarithm), beside so many metres, …"""
+LONGEST = 2.0 / 3.0
+"""(the longest edge counts so much of all three: what was seen from one side only is as long as it is, but thinner)"""
 COLORS = 0.03
 """… and colours fall short of being the same by so much, at one standard deviation each."""
-MOST_UNLIKE = 9.0
-"""No more than this, as a sum of squares of standard deviations, is taken for the same thing."""
+MOST_UNLIKE = 10.0
+"""No more than this is taken for the same thing: seen badly on one tour, a thing is unlike itself by up to 6, where it
+was carried elsewhere by 3 to 5 more; other things of its class are unlike it by 12 and more."""
 ELSEWHERE = 3.0
 FAR = 2.0
 FAR_M = 8.0
@@ -59,11 +62,12 @@ class Look:
         return Look((max(a, b), min(a, b), c), colors.copy())
 
     def unlike(self, others: Sequence[Look]) -> NDArray[np.float64]:
-        """How unlike n others are, (n,): a sum of squares of standard deviations."""
+        """How unlike n others are, (n,): a sum of standard deviations."""
         if not others:
             return np.empty(0)
         edges = np.log(np.maximum([self.size, *(other.size for other in others)], SIZE_M))
-        size: NDArray[np.float64] = np.abs(edges[1:] - edges[0]).mean(axis=1) / SIZE_LOG
+        longest, all_ = (np.abs(logs[1:] - logs[0]) for logs in (edges.max(axis=1), edges))
+        size: NDArray[np.float64] = (LONGEST * longest + (1.0 - LONGEST) * all_.mean(axis=1)) / SIZE_LOG
         colors = (1.0 - likeness(self.colors, np.array([other.colors for other in others]))) / COLORS
         unlike: NDArray[np.float64] = size + np.nan_to_num(colors)
         return unlike

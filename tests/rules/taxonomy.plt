@@ -54,6 +54,8 @@ test(kitchen_with_a_table_to_dine_at, all(T == [kitchen])) :-
     room([oven, sink, dining_table, dining_chair]), room_type(room_1, T).
 test(living_room, all(T == [living_room])) :- room([sofa, tv, rug, book]), room_type(room_1, T).
 test(bedroom, all(T == [bedroom])) :- room([bed, wardrobe, lamp, desk]), room_type(room_1, T).
+test(child_room, all(T == [child_room])) :- room([bed, desk, teddy_bear, ball]), room_type(room_1, T).
+test(toys_in_a_hallway, all(T == [])) :- room([ball, toy_block, shoe]), room_type(room_1, T).
 test(bathroom, all(T == [bathroom])) :- room([toilet, sink, mirror, washing_machine]), room_type(room_1, T).
 test(office, all(T == [office])) :- room([desk, chair, monitor, shelf]), room_type(room_1, T).
 test(dining_room, all(T == [dining_room])) :- room([dining_table, chair]), room_type(room_1, T).
