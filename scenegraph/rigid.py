@@ -44,7 +44,7 @@ def moved_edge(edge: Edge, T: SE3, height: float) -> Edge:
     """The edge carried along: of its attributes the place `at` [x, y], which lies at this height [m]."""
     place = edge.attributes.get("at")
     try:
-        x, y = np.array(place, np.float64)
+        x, y = _numbers(place)
     except (TypeError, ValueError):
         return edge
     if T.isclose(SE3.identity(), atol=0.0):
@@ -62,25 +62,33 @@ def _about(box: Box, footprint: NDArray[np.float64] | None) -> Box:
     return Box(center=0.5 * (low + high), size=high - low)
 
 
+def _numbers(value: Any) -> NDArray[np.float64]:
+    """Finite numbers as an array; numpy makes NaN of None. Raises `TypeError`, `ValueError`."""
+    numbers = np.array(value, np.float64)
+    if not np.isfinite(numbers).all():
+        raise ValueError("expected finite numbers")
+    return numbers
+
+
 def _moved_attribute(name: str, value: Any, node: Node, T: SE3) -> Any:
     try:
         if name == "footprint":
             height = float(node.attributes.get("floor_z", node.position[2]))
-            corners = np.array([(x, y, height) for x, y in value], np.float64)
+            corners = _numbers([(x, y, height) for x, y in value])
             return np.round((T @ corners)[:, :2], _DIGITS).tolist()
         if name == "polygon":
-            return [np.round(T @ np.array(ring, np.float64), _DIGITS).tolist() for ring in value]
+            return [np.round(T @ _numbers(ring), _DIGITS).tolist() for ring in value]
         if name in ("boundary", "trajectory"):
-            return np.round(T @ np.array(value, np.float64).reshape(-1, 3), _DIGITS).tolist()
+            return np.round(T @ _numbers(value).reshape(-1, 3), _DIGITS).tolist()
         if name == "moved_from":
-            return np.round(T @ np.array(value, np.float64), _DIGITS).tolist()
+            return np.round(T @ _numbers(value), _DIGITS).tolist()
         if name in ("normal", "velocity"):
-            return np.round(T.rotation @ np.array(value, np.float64), _DIGITS).tolist()
+            return np.round(T.rotation @ _numbers(value), _DIGITS).tolist()
         if name == "offset" and "normal" in node.attributes:
-            normal = T.rotation @ np.array(node.attributes["normal"], np.float64)
+            normal = T.rotation @ _numbers(node.attributes["normal"])
             return round(float(value + normal @ T.translation), _DIGITS)
         if name in _HEIGHTS:
-            return round(float((T @ np.array((*node.position[:2], value), np.float64))[2]), _DIGITS)
+            return round(float((T @ _numbers((*node.position[:2], value)))[2]), _DIGITS)
     except (TypeError, ValueError):
         return value  # of the same name, but not the geometry that we write
     return value

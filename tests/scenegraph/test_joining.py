@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mapping.geometry import SE3
@@ -298,6 +298,7 @@ def test_what_names_a_storey_a_thing_or_a_place_of_their_map_names_ours() -> Non
     poses,
 )
 @settings(max_examples=60)
+@example(name="floor_z", value=None, T=turned(0.0, 0.0, 0.0, 0.5))
 def test_attributes_may_hold_anything_when_graphs_are_moved_joined_and_drawn(name: str, value: Any, T: SE3) -> None:
     home = furnished(2)
     changes = GraphChanges()
