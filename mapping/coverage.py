@@ -205,7 +205,10 @@ class Coverage:
     def shape(self, least_m2: float, tolerance_m: float) -> Any:
         """What is covered as a shapely (multi)polygon in u, v [m]: gaps of one cell closed, borders simplified to
         `tolerance_m`, holes below `least_m2` filled, and parts below it left out, but for the largest part."""
-        (u0, u1), (v0, v1) = (_ends(line > 0) for line in (self._rows, self._columns))
+        span = np.empty((2, 2), np.int64)
+        kernels.extent(span[0], self._rows, 0, 0.0)
+        kernels.extent(span[1], self._columns, 0, 0.0)
+        (u0, u1), (v0, v1) = span.tolist()
         mask = np.empty((u1 - u0 + 6, v1 - v0 + 6), np.bool_)
         kernels.close_gaps(mask, self._counts[u0:u1, v0:v1])
         edges = sum(int(np.count_nonzero(mask[1:] != mask[:-1])) for mask in (mask, mask.T))
@@ -236,9 +239,3 @@ def _grown(first: int, n: int, low: int, high: int) -> tuple[int, int]:
         end = first + n if high < first + n else high + 1 + spare
     first = first if low >= first else low - spare
     return first, end - first
-
-
-def _ends(covered: Array) -> tuple[int, int]:
-    """The first covered row and one past the last; none are 0 and 0."""
-    at = np.flatnonzero(covered)
-    return (int(at[0]), int(at[-1]) + 1) if len(at) else (0, 0)

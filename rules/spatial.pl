@@ -327,30 +327,25 @@ judged(blocks, A, Door, Truth, [test(clear_width, Width, <, robot_width, Needed)
 %   footing_in_contact(+A, +B, -Test): one rests on the other, where the surfaces between were not seen.
 footing_in_contact(A, B, test(contact, Share, >=, contact_share, Enough)) :-
     contact_share(Enough),
-    share_in_contact(A, B, ShareA),
-    share_in_contact(B, A, ShareB),
+    number_or(contact, A, B, -1, ShareA),
+    number_or(contact, B, A, -1, ShareB),
     Share is max(ShareA, ShareB),
     Share >= Enough.
 
-share_in_contact(A, B, Share) :-
-    (   measured(contact, A, B, Known),
-        number(Known)
-    ->  Share = Known
-    ;   Share = -1
-    ).
-
 %   surface_below(+A, +B, +Gap, -Test): the surface of one goes on, unseen, close below the other.
 surface_below(A, B, Enough, test(drop, Drop, =<, contact_gap, Enough)) :-
-    drop_to(A, B, DropA),
-    drop_to(B, A, DropB),
+    no_way(Never),
+    number_or(drop, A, B, Never, DropA),
+    number_or(drop, B, A, Never, DropB),
     Drop is min(DropA, DropB),
     Drop =< Enough.
 
-drop_to(A, B, Drop) :-
-    (   measured(drop, A, B, Known),
+%   number_or(+Name, +A, +B, +Default, -Value): what was measured of the pair, where it is a number.
+number_or(Name, A, B, Default, Value) :-
+    (   measured(Name, A, B, Known),
         number(Known)
-    ->  Drop = Known
-    ;   no_way(Drop)
+    ->  Value = Known
+    ;   Value = Default
     ).
 
 %   beside(+Near, +NearTest, +A, +B, -Truth, -Tests): two things that are near, are they next to each other?

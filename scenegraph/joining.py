@@ -25,7 +25,7 @@ import shapely
 from mapping.geometry import SE3
 from scenegraph.errors import InvalidGraphValue
 from scenegraph.graph import LAYERS, Box, Edge, EdgeKey, GraphChanges, Node, SceneGraph, valid_identifier
-from scenegraph.matching import Match, match
+from scenegraph.matching import Match, footprint_polygon, match
 from scenegraph.registering import Alignment, register
 from scenegraph.rigid import moved, moved_edge
 
@@ -293,10 +293,12 @@ class _Join:
         self, ours: Node, theirs: Node, attributes: dict[str, Any], box: Box | None
     ) -> tuple[dict[str, Any], Box | None]:
         """A room's footprint with what theirs adds to it, but for what is another room of ours, and its box."""
-        mine, other = _polygon(ours), _polygon(theirs)
+        mine, other = footprint_polygon(ours), footprint_polygon(theirs)
         if mine is None or other is None:
             return attributes, box
-        rest = [outline for node in self._ours.nodes("room") if node.id != ours.id and (outline := _polygon(node))]
+        rest = [
+            outline for node in self._ours.nodes("room") if node.id != ours.id and (outline := footprint_polygon(node))
+        ]
         common = shapely.union_all(rest) if rest else shapely.Polygon()
         news = other.difference(common)
         if news.difference(mine).area < NEWS_SHARE * mine.area:
@@ -317,11 +319,6 @@ class _Join:
         high = max(float(node.box.corners()[:, 2].max()) for node in (ours, theirs) if node.box is not None)
         size = (x1 - x0, y1 - y0, high - low)
         return attributes, Box(center=(0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * (low + high)), size=size)
-
-
-def _polygon(node: Node) -> Any:
-    footprint = node.footprint
-    return None if footprint is None else shapely.make_valid(shapely.Polygon(footprint))
 
 
 def _better(one: Node, other: Node, distance_m: float) -> tuple[bool, str]:

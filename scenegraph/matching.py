@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from scenegraph.facts import class_atom
 from scenegraph.graph import Box, Layer, Node
 
-__all__ = ["Match", "match"]
+__all__ = ["Match", "footprint_polygon", "match"]
 
 Array: TypeAlias = NDArray[Any]
 
@@ -303,11 +303,17 @@ def _floor(node: Node) -> float:
     return float(height) if isinstance(height, int | float) else float(node.position[2])
 
 
+def footprint_polygon(node: Node) -> Any:
+    """The footprint of a node as a valid shapely geometry; None where it has none."""
+    footprint = node.footprint
+    return None if footprint is None else shapely.make_valid(shapely.Polygon(footprint))
+
+
 def _outline(node: Node) -> Any:
     """A room's footprint, else the ground projection of its box, else a disc about its position."""
-    footprint = node.footprint
+    footprint = footprint_polygon(node)
     if footprint is not None:
-        return shapely.make_valid(shapely.Polygon(footprint))
+        return footprint
     if node.box is not None:
         return shapely.MultiPoint(node.box.corners()[:, :2]).convex_hull
     return shapely.Point(node.position[:2]).buffer(0.5)

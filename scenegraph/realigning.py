@@ -26,6 +26,7 @@ from mapping.geometry import SE3
 from mapping.observations import PoseCorrection
 from scenegraph.errors import InvalidGraphValue
 from scenegraph.graph import Delta, Edge, EdgeKey, GraphChanges, Node, SceneGraph
+from scenegraph.matching import footprint_polygon
 from scenegraph.relating import Thresholds, follow
 from scenegraph.rigid import moved, moved_edge
 
@@ -35,7 +36,7 @@ __all__ = [
     "Sightings",
     "alike",
     "carried",
-    "carried_edges",
+    "carry",
     "motions",
     "realign",
     "shares_in",
@@ -215,7 +216,17 @@ def carried(graph: SceneGraph, moves: Mapping[str, SE3], corrections: Correction
     return nodes
 
 
-def carried_edges(graph: SceneGraph, moves: Mapping[str, SE3]) -> list[Edge]:
+def carry(graph: SceneGraph, moves: Mapping[str, SE3], corrections: Corrections) -> GraphChanges:
+    """What the motions alone change: nodes, and the edges that have a place of their own."""
+    changes = GraphChanges()
+    for node in carried(graph, moves, corrections):
+        changes.put(node)
+    for edge in _carried_edges(graph, moves):
+        changes.put(edge)
+    return changes
+
+
+def _carried_edges(graph: SceneGraph, moves: Mapping[str, SE3]) -> list[Edge]:
     """The edges with a place of their own, as they are after the motions of what they begin at."""
     edges = graph.edges_at([node_id for node_id in moves if node_id in graph], ("connects",))
     found = []
@@ -238,11 +249,7 @@ def realign(
     Relations between things that did not move alike are inferred anew from their boxes, see `scenegraph.relating`.
     """
     moves = motions(graph, corrections, sightings)
-    changes = GraphChanges()
-    for node in carried(graph, moves, corrections):
-        changes.put(node)
-    for edge in carried_edges(graph, moves):
-        changes.put(edge)
+    changes = carry(graph, moves, corrections)
     anew = GraphChanges()
     anew.extend(changes)
     follow(graph, anew, thresholds)
@@ -271,9 +278,9 @@ def shares_in(ground: NDArray[Any], rooms: Iterable[Node]) -> dict[str, float]:
     points = shapely.points(ground)
     shares: dict[str, float] = {}
     for room in rooms:
-        footprint = room.footprint
+        footprint = footprint_polygon(room)
         if footprint is not None:
-            share = float(shapely.contains(shapely.make_valid(shapely.Polygon(footprint)), points).mean())
+            share = float(shapely.contains(footprint, points).mean())
             if share > 0.0:
                 shares[room.id] = share
     return shares

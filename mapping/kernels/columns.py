@@ -72,14 +72,21 @@ def column_bottoms(points: Array, keys: Array, order: Array) -> Array:
 
 
 @njit(cache=True)
-def thin_out(points: Array, cell: float) -> Array:
-    """Indices of one point (the first) in each cubic cell of side `cell` [m]."""
+def cell_keys(points: Array, cell: float) -> Array:
+    """(N,) int64: the cubic cell of side `cell` [m] in which each point (N, 3) lies; k + 1 is the next number."""
     keys = np.empty(len(points), dtype=np.int64)
     for n in range(len(points)):
         i = np.int64(np.floor(points[n, 0] / cell)) + (1 << 20)
         j = np.int64(np.floor(points[n, 1] / cell)) + (1 << 20)
         k = np.int64(np.floor(points[n, 2] / cell)) + (1 << 20)
         keys[n] = i << 42 | j << 21 | k
+    return keys
+
+
+@njit(cache=True)
+def thin_out(points: Array, cell: float) -> Array:
+    """Indices of one point (the first) in each cubic cell of side `cell` [m]."""
+    keys = cell_keys(points, cell)
     order = np.argsort(keys)
     kept = np.empty(len(points), dtype=np.int64)
     n = 0
@@ -158,12 +165,7 @@ def largest_cluster(points: Array, weights: Array, cell: float) -> Array:
     """(N,) bool: the points of the heaviest connected cluster; cells of side `cell` [m] connect to their 26
     neighbours."""
     n = len(points)
-    keys = np.empty(n, dtype=np.int64)
-    for p in range(n):
-        i = np.int64(np.floor(points[p, 0] / cell)) + (1 << 20)
-        j = np.int64(np.floor(points[p, 1] / cell)) + (1 << 20)
-        k = np.int64(np.floor(points[p, 2] / cell)) + (1 << 20)
-        keys[p] = i << 42 | j << 21 | k
+    keys = cell_keys(points, cell)
     order = np.argsort(keys)
     cells, at, m = np.empty(n, np.int64), np.empty(n, np.int64), 0
     for p in order:

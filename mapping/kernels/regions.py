@@ -50,35 +50,6 @@ def grow(reach: Array, barrier: Array, steps: int) -> None:
 
 
 @njit(cache=True)
-def fill_holes(reach: Array) -> None:
-    """Add to a set of cells (W, H) bool those from which no 4-neighbour way leads out to the border, in place."""
-    width, height = reach.shape
-    outside = np.zeros((width, height), dtype=np.bool_)
-    front = np.empty((width * height, 2), dtype=np.int32)
-    n = 0
-    for i in range(width):
-        for j in range(height):
-            on_border = i == 0 or j == 0 or i == width - 1 or j == height - 1
-            if on_border and not reach[i, j]:
-                outside[i, j] = True
-                front[n, 0], front[n, 1] = i, j
-                n += 1
-    f = 0
-    while f < n:
-        for d in range(4):
-            i = front[f, 0] + (1 if d == 0 else -1 if d == 1 else 0)
-            j = front[f, 1] + (1 if d == 2 else -1 if d == 3 else 0)
-            if 0 <= i < width and 0 <= j < height and not reach[i, j] and not outside[i, j]:
-                outside[i, j] = True
-                front[n, 0], front[n, 1] = i, j
-                n += 1
-        f += 1
-    for i in range(width):
-        for j in range(height):
-            reach[i, j] = not outside[i, j]
-
-
-@njit(cache=True)
 def basins(clearance: Array, neck_share: float) -> Array:
     """Label (W, H) int32 the basins of `clearance` (W, H) > 0; 0 elsewhere.
 
@@ -294,3 +265,13 @@ def shortest_chain(distance: Array, start: int, goal: int) -> float:
         for j in range(n):
             cost[j] = min(cost[j], cost[here] + distance[here, j])
     return float(cost[goal])
+
+
+@njit(cache=True)
+def fill_holes(reach: Array) -> None:
+    """Add to a set of cells (W, H) bool those from which no 4-neighbour way leads out to the border, in place."""
+    outside = np.zeros(reach.shape, dtype=np.bool_)
+    outside[0], outside[-1] = ~reach[0], ~reach[-1]
+    outside[:, 0], outside[:, -1] = ~reach[:, 0], ~reach[:, -1]
+    flood(outside, ~reach)
+    reach[:] = ~outside

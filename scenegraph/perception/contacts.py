@@ -234,9 +234,9 @@ def _surfaces_under(
 
 def _closed_in(mine: Shape, other: Shape, footing: Array) -> Array:
     """(F,) bool: the columns of the footing that the sides of `other` close in: its bottom is below, seen or not."""
-    start = np.column_stack([footing, np.full(len(footing), mine.lowest + lift(mine, other))])
     if mine.lowest > other.highest:
         return np.zeros(len(footing), bool)
+    start = np.column_stack([footing, np.full(len(footing), mine.lowest + lift(mine, other))])
     inside = other.box.contains(start, 0.5 * other.voxel_size_m)
     if inside.any():
         inside[inside] = enclosed(start[inside], other)

@@ -33,7 +33,7 @@ from scenegraph.perception.rooms import Rooms
 from scenegraph.perception.shapes import Shape
 from scenegraph.perception.stairs import Stairs, stairs_by_rule
 from scenegraph.perception.structure import Structure
-from scenegraph.realigning import Corrections, alike, carried, carried_edges, shares_in
+from scenegraph.realigning import Corrections, alike, carry, shares_in
 from scenegraph.rigid import moved
 from scenegraph.statements import FORMS, Statement
 
@@ -142,11 +142,7 @@ class Perception:
         self, moves: Mapping[str, SE3], corrections: Corrections, graph: SceneGraph, source: str, stamp_ns: int
     ) -> GraphChanges:
         """Move nodes, and measure anew what lies between things that did not move alike; the map stays as it is."""
-        changes = GraphChanges()
-        for node in carried(graph, moves, corrections):
-            changes.put(node)
-        for edge in carried_edges(graph, moves):
-            changes.put(edge)
+        changes = carry(graph, moves, corrections)
         things = moves.keys() & self.objects.shapes.keys()
         before = self.relations.between(things)
         for thing in things:
