@@ -269,5 +269,5 @@ forget_everything :-
 :- forall(member(Name, [ contact, lowest_above, footprint_overlap, rise, structure_between, same_storey,
                          path_gap_upper, path_gap_lower, gap, drop, footing_inside, voxels_inside, footprint_share,
                          side_contact, top_contact, things_between, visible, possibly_visible, way_upper, way_lower,
-                         clear_width ]),
+                         clear_width, clear_below ]),
           keeper(Name, 4, _)).

@@ -49,7 +49,7 @@ Example: a cup 2 mm above a table top, with 90 % of its foot over the table:
 
 :- dynamic
     contact_share/1, contact_margin/1, overlap_share/1, footing_inside_share/1, voxels_inside_share/1,
-    room_share/1, own_room_share/1, near_least/1, near_most/1, side_share/1, visible_share/1.
+    room_share/1, own_room_share/1, near_least/1, near_most/1, side_share/1, clear_share/1, visible_share/1.
 
 contact_share(0.2).
 contact_margin(0.03).
@@ -61,6 +61,7 @@ own_room_share(0.8).
 near_least(0.5).
 near_most(1.5).
 side_share(0.2).
+clear_share(0.5).
 visible_share(0.05).
 
 %!  threshold(?Name, -Value, ?Unit, ?Reason) is nondet.
@@ -92,6 +93,8 @@ threshold_reason(near_most, metre,
     "large things: a step and a half away; farther is across the room").
 threshold_reason(side_share, share,
     "a picture leans on its nail and lower edge, a wall lamp stands off on its arm: a fifth of the side is fixed").
+threshold_reason(clear_share, share,
+    "where half of the space below a thing was seen to be free nothing there carries it; where less was, something may").
 threshold_reason(visible_share, share,
     "a twentieth of the surface that could be seen at all shows what a thing is; less is a glimpse between others").
 
@@ -275,18 +278,20 @@ judged(next_to, A, B, Truth, Tests) :-
     judged(near, A, B, Near, [NearTest|_]),
     beside(Near, NearTest, A, B, Truth, Tests).
 judged(attached_to, A, B, Truth, [ test(side_contact, Share, >=, side_share, Enough),
-                                   test(footing_contact, Footing, <, contact_share, Firm) ]) :-
+                                   test(footing_contact, Footing, <, contact_share, Firm),
+                                   test(clear_below, Clear, >=, clear_share, Open) ]) :-
     measured(side_contact, A, B, Share),
     side_share(Enough),
     at_least(Share, Enough, Truth1),
-    stands_on_nothing(A, Footing, Firm, Truth2),
+    stands_on_nothing(A, B, Footing, Firm, Clear, Open, Truth2),
     both(Truth1, Truth2, Truth).
 judged(hanging_from, A, B, Truth, [ test(top_contact, Share, >=, contact_share, Enough),
-                                    test(footing_contact, Footing, <, contact_share, Enough) ]) :-
+                                    test(footing_contact, Footing, <, contact_share, Enough),
+                                    test(clear_below, Clear, >=, clear_share, Open) ]) :-
     measured(top_contact, A, B, Share),
     contact_share(Enough),
     at_least(Share, Enough, Truth1),
-    stands_on_nothing(A, Footing, Enough, Truth2),
+    stands_on_nothing(A, B, Footing, Enough, Clear, Open, Truth2),
     both(Truth1, Truth2, Truth).
 judged(part_of, A, B, Truth, Tests) :-
     part_and_whole(A, B),
@@ -388,15 +393,21 @@ shared_support(_, _, none, false).
 %   A floor is mapped as several planes where furniture or a doorway parts it; this far apart in height [m] they are one.
 same_floor(0.1).
 
-%   stands_on_nothing(+A, -Share, -Enough, -Truth): no footing contact; Share is the largest.
-stands_on_nothing(A, Footing, Enough, Truth) :-
+%   stands_on_nothing(+A, +B, -Footing, -Enough, -Clear, -Open, -Truth): A, which B holds, has no footing contact, of
+%   which Footing is the largest share; known only where the space below it was seen to be free (Clear).
+stands_on_nothing(A, B, Footing, Enough, Clear, Open, Truth) :-
     contact_share(Enough),
     findall(Share, measured(contact, A, _, Share), Shares),
     (   memberchk(unknown, Shares)
     ->  Footing = unknown
     ;   max_list([0|Shares], Footing)
     ),
-    less_than(Footing, Enough, Truth).
+    less_than(Footing, Enough, Truth1),
+    clear_share(Open),
+    ( measured(clear_below, A, B, Clear0) -> Clear = Clear0 ; Clear = unknown ),
+    at_least(Clear, Open, Seen),
+    ( Seen == true -> Truth2 = true ; Truth2 = unknown ),
+    both(Truth1, Truth2, Truth).
 
 %   part_and_whole(?A, ?B): the taxonomy says that a thing like A is part of a thing like B, and they are close.
 part_and_whole(A, B) :-

@@ -46,6 +46,9 @@ MOST_MATERIAL = 8000
 """Points of a thing, and of what it may be in, that are looked at to see whether it is inside."""
 BACK_M = 0.15
 """How far a thing whose back was not seen is completed to the wall behind it."""
+CLEAR_M = 0.1
+"""Space this close to what a thing is fixed to is filled by that: whether the thing has something below it is seen in
+front."""
 WALL_END_M = 0.1
 """A wall goes on this far beyond what was seen of it."""
 
@@ -63,6 +66,16 @@ class Wall:
     end: float
     low: float
     high: float
+
+
+@dataclass(frozen=True)
+class Side:
+    """What a side of a thing is fixed to: share of the side that is in contact, normal (2,) of the contact, into the
+    thing, and its offset along that [m]."""
+
+    share: float
+    normal: Array
+    offset: float
 
 
 @dataclass(frozen=True)
@@ -150,15 +163,15 @@ def hanging(mine: Shape, others: Mapping[str, Shape], ceiling: Level) -> dict[st
 
 def fixed(
     mine: Shape, others: Mapping[str, Shape], walls: Iterable[Wall], seen_free: Callable[[Array], Array]
-) -> dict[str, float]:
-    """Share of the side that faces each thing and each wall, and that lies in contact with it.
+) -> dict[str, Side]:
+    """The side that faces each thing and each wall, where some of it lies in contact with it.
 
     The back of what stands before a wall was not seen: it is completed to the wall where the space between was not
     seen to be free.
     """
     reach = tolerance(mine)
     sides = _sides(mine.box, reach)
-    found: dict[str, float] = {}
+    found: dict[str, Side] = {}
     for wall in walls:
         if float(mine.box.center[:2] @ wall.normal) - wall.offset < -CONTACT_MARGIN_M:
             continue  # the far face of the wall
@@ -172,15 +185,33 @@ def fixed(
             back = sides[behind].copy()
             back[:, :2] -= 0.5 * off[behind][:, None] * wall.normal
             close[behind] = ~seen_free(back)
-        found[wall.node] = float(close.mean(axis=1).max())
+        found[wall.node] = Side(float(close.mean(axis=1).max()), wall.normal, wall.offset)
     low, high = mine.bounds
     for name, other in others.items():
         near = ((other.points >= low - reach) & (other.points <= high + reach)).all(axis=1)
         points = other.points[near].astype(np.float64)
         if len(points):
             apart = np.linalg.norm(sides[:, :, None] - points[None, None], axis=3).min(axis=2)
-            found[name] = float((apart <= reach).mean(axis=1).max())
-    return {name: share for name, share in found.items() if share > 0.0}
+            shares = (apart <= reach).mean(axis=1)
+            middle = sides[shares.argmax()].mean(axis=0)[:2]
+            inwards = mine.box.center[:2] - middle
+            inwards /= max(float(np.linalg.norm(inwards)), 1e-9)
+            found[name] = Side(float(shares.max()), inwards, float(middle @ inwards))
+    return {name: side for name, side in found.items() if side.share > 0.0}
+
+
+def clear_below(mine: Shape, side: Side | None, seen_free: Callable[[Array], Array]) -> float:
+    """Share of the footing under which space was seen to be free, where something in contact would be.
+
+    side : what the thing is fixed to; beside that, space is looked at CLEAR_M in front of it
+    """
+    columns = mine.footing
+    if side is not None:
+        inside = np.maximum(0.0, CLEAR_M + side.offset - columns @ side.normal)
+        columns = columns + inside[:, None] * side.normal
+    heights = mine.lowest - tolerance(mine) - np.array([0.0, mine.voxel_size_m])
+    at = np.concatenate([np.column_stack([columns, np.full(len(columns), z)]) for z in heights])
+    return float(seen_free(at).reshape(len(heights), -1).mean(axis=1).max())
 
 
 def _sides(box: Box, narrow_m: float) -> Array:

@@ -22,7 +22,9 @@ from scenegraph.perception.contacts import (
     FIRM_SHARE,
     HOVER_M,
     MOST_INSIDE,
+    Side,
     Wall,
+    clear_below,
     enclosed,
     fixed,
     hanging,
@@ -44,8 +46,10 @@ Pair: TypeAlias = tuple[str, str]
 FAR_M = 1.5
 """Beyond this distance nothing is near anything (`near_most` in the rules)."""
 HOLDING_SHARE = 0.2
-"""What has no more of its top or of a side in contact does not hang there: it stands on what is below it."""
-CONTACTS = ("contact", "drop", "top_contact", "side_contact")
+CLEAR_SHARE = 0.5
+"""What has no more of its top or of a side in contact does not hang there, nor has what may have something under more
+of its footing: it stands on what is below it (`side_share` and `clear_share` in the rules)."""
+CONTACTS = ("contact", "drop", "top_contact", "side_contact", "clear_below")
 SAMPLED_VOXELS = 1.0
 """The nearest points of two surfaces, one a voxel each, lie this far apart along them, in voxels, in the median."""
 NO_PATH_M = 1.0e9
@@ -344,21 +348,32 @@ class Relations:
         floor = around.floor_below(x, y, mine.lowest)
         rest = resting(mine, under, floor, around.seen_free)
         found: dict[tuple[str, ...], float] = {}
+        held = False
         if not rest.firmly:
             below = housed(mine, under, around.seen_free) or settled(mine, under, floor, around.seen_free)
             if rest.hovers and (below is None or mine.lowest - below.level > HOVER_M):
                 ceiling = around.ceiling_above(x, y, mine.highest)
                 walls = around.walls_beside(low - BACK_M, high + BACK_M)
-                held = [("top_contact", hanging(mine, under, ceiling))]
-                held.append(("side_contact", fixed(mine, beside, walls, around.seen_free)))
-                found.update({(name, thing, o): share for name, shares in held for o, share in shares.items()})
-            if below is not None and max(found.values(), default=0.0) < HOLDING_SHARE:
+                tops = hanging(mine, under, ceiling)
+                sides = fixed(mine, beside, walls, around.seen_free)
+                found.update({("top_contact", thing, o): share for o, share in tops.items()})
+                found.update({("side_contact", thing, o): side.share for o, side in sides.items()})
+                for other in sorted(o for o in tops.keys() | sides.keys() if _share(o, tops, sides) >= HOLDING_SHARE):
+                    clear = clear_below(mine, sides.get(other), around.seen_free)
+                    found["clear_below", thing, other] = clear
+                    held |= clear >= CLEAR_SHARE
+            if below is not None and not held:
                 rest = below
         found.update({("drop", thing, o): drop for o, drop in rest.drops.items() if o in shapes})
         found.update({("contact", thing, o): share for o, share in rest.shares.items()})
         found["footing_seen", thing] = rest.footing_seen
         found["rest_level", thing] = rest.level
         return found
+
+
+def _share(other: str, tops: Mapping[str, float], sides: Mapping[str, Side]) -> float:
+    """The larger of the shares of a thing's top and of a side that lie in contact with another."""
+    return max(tops.get(other, 0.0), sides[other].share if other in sides else 0.0)
 
 
 def _rise(over: Shape, under: Shape, seen_free: Callable[[Array], Array]) -> tuple[float, Array, Array]:

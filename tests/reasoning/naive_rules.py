@@ -8,7 +8,7 @@ from typing import Literal
 Value = float | Literal["unknown"]
 Truth = Literal["true", "false", "unknown"]
 
-CONTACT_GAP, SHARE, OVERLAP, FOOTING, VOXELS, ROOM, OWN = 0.03, 0.2, 0.2, 0.8, 0.3, 0.5, 0.8
+CONTACT_GAP, SHARE, CLEAR, OVERLAP, FOOTING, VOXELS, ROOM, OWN = 0.03, 0.2, 0.5, 0.2, 0.8, 0.3, 0.5, 0.8
 
 
 @dataclass
@@ -125,21 +125,24 @@ def next_to(world: Measured, a: str, b: str) -> Truth:
     return every(near(world, a, b), shared, free)
 
 
-def stands_on_nothing(world: Measured, a: str) -> Truth:
+def stands_on_nothing(world: Measured, a: str, holder: str) -> Truth:
     shares = [world.get("contact", a, b) for b in [*world.objects, *world.structure]]
     if "unknown" in shares:
         return "unknown"
-    return "false" if any(share is not None and share >= SHARE for share in shares) else "true"
+    if any(share is not None and share >= SHARE for share in shares):
+        return "false"
+    clear = world.get("clear_below", a, holder)
+    return "true" if clear is not None and clear != "unknown" and clear >= CLEAR else "unknown"
 
 
 def attached_to(world: Measured, a: str, b: str) -> Truth:
     share = world.get("side_contact", a, b)
-    return "false" if share is None else every(at_least(share, SHARE), stands_on_nothing(world, a))
+    return "false" if share is None else every(at_least(share, SHARE), stands_on_nothing(world, a, b))
 
 
 def hanging_from(world: Measured, a: str, b: str) -> Truth:
     share = world.get("top_contact", a, b)
-    return "false" if share is None else every(at_least(share, SHARE), stands_on_nothing(world, a))
+    return "false" if share is None else every(at_least(share, SHARE), stands_on_nothing(world, a, b))
 
 
 JUDGES = {

@@ -28,6 +28,7 @@ DIRECTED: dict[str, list[Any]] = {
     "same_storey": [0, 1],
     "side_contact": [0.1, 0.2, 1.0, "unknown"],
     "top_contact": [0.1, 0.2, 1.0, "unknown"],
+    "clear_below": [0.4, 0.5, 1.0, 1.0, "unknown"],
 }
 SYMMETRIC: dict[str, list[Any]] = {
     "footprint_overlap": [0.1, 0.2, 1.0, "unknown"],

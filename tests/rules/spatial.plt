@@ -205,7 +205,8 @@ test(not_near_not_next_to, fail) :-
 :- end_tests(next_to).
 
 :- begin_tests(attached_to, [setup(with([ node(picture, object), node(wall, structure), node(floor, structure),
-                                          measured(side_contact, picture, wall, 0.9) ]))]).
+                                          measured(side_contact, picture, wall, 0.9),
+                                          measured(clear_below, picture, wall, 1.0) ]))]).
 
 test(fixed_to_a_wall, all(W == [wall])) :- holds(attached_to, picture, W).
 test(found_from_the_other_end, all(P == [picture])) :- holds(attached_to, P, wall).
@@ -218,6 +219,13 @@ test(what_stands_before_a_wall_is_not_fixed_to_it, true(Truth == false)) :-
 test(unknown_while_the_footing_is, true(Truth == unknown)) :-
     tell([measured(contact, picture, floor, unknown)]),
     judged(attached_to, picture, wall, Truth, _).
+test(unknown_while_something_unseen_may_carry_it, true(Truths == [unknown, unknown, true])) :-
+    tell([measured(contact, picture, floor, 0.0)]),
+    findall(Truth,
+            ( member(Clear, [unknown, 0.4, 0.5]),
+              tell([measured(clear_below, picture, wall, Clear)]),
+              judged(attached_to, picture, wall, Truth, _) ),
+            Truths).
 test(one_edge_one_way, true(Names == [attached_to(picture, wall)])) :-
     tell([measured(contact, picture, floor, 0.0)]),
     derived_edges_of([picture, wall], Edges),
@@ -226,7 +234,8 @@ test(one_edge_one_way, true(Names == [attached_to(picture, wall)])) :-
 :- end_tests(attached_to).
 
 :- begin_tests(hanging_from, [setup(with([ node(lamp, object), node(ceiling, structure), node(table, object),
-                                           measured(top_contact, lamp, ceiling, 1.0) ]))]).
+                                           measured(top_contact, lamp, ceiling, 1.0),
+                                           measured(clear_below, lamp, ceiling, 1.0) ]))]).
 
 test(from_the_ceiling, all(B == [ceiling])) :- holds(hanging_from, lamp, B).
 test(a_pillar_that_stands_does_not_hang, fail) :-

@@ -161,6 +161,22 @@ def test_a_towel_over_a_rail_is_fixed_to_the_oven_it_hangs_at(rules: KnowledgeBa
     assert pairs(edges, "attached_to") == {("towel_1", "oven_1")}
 
 
+def test_what_may_stand_on_something_unseen_is_not_known_to_be_fixed(rules: KnowledgeBase) -> None:
+    """A bottle on a counter that was never mapped, close to a wall, and a picture; the wall fills its own voxels."""
+    things = {
+        "bottle_1": thing(box((0.08, 0.08, 0.3)), at=(0.0, 0.06, 0.9)),
+        "picture_1": thing(box((0.5, 0.02, 0.4)), at=(1.0, 0.02, 1.3)),
+    }
+    wall = ((-3.0, -0.1, 0.0), (3.0, 0.05, 2.4))
+    counter = ((-0.3, 0.0, 0.0), (0.3, 0.6, 0.9))
+    seen = Plan(walls=[(-3.0, 0.0, 3.0, 0.0)], hidden=[wall])
+    assert pairs(derived(rules, things, seen), "attached_to") == {("bottle_1", "wall_0"), ("picture_1", "wall_0")}
+    unseen = Plan(walls=[(-3.0, 0.0, 3.0, 0.0)], hidden=[wall, counter])
+    assert pairs(derived(rules, things, unseen), "attached_to") == {("picture_1", "wall_0")}
+    assert rules.call("judged(attached_to, bottle_1, wall_0, unknown, _)")
+    assert not rules.call("judged(attached_to, bottle_1, _, true, _)")
+
+
 def test_a_lamp_hangs_from_the_ceiling_and_a_ladle_from_its_shelf(rules: KnowledgeBase) -> None:
     lamp = [
         ((0.0, 0.0, 0.4), (0.01, 0.01, 0.5)),
@@ -412,7 +428,7 @@ def test_a_surface_goes_on_under_what_hides_it(rules: KnowledgeBase) -> None:
 def test_the_back_of_a_cabinet_goes_on_to_its_wall_and_not_to_the_far_face(rules: KnowledgeBase) -> None:
     cabinet = {"cabinet_1": thing(box((0.8, 0.3, 0.6)), at=(0.0, 0.25, 1.4))}  # its back is 10 cm from the wall
     near, far = (-3.0, 0.0, 3.0, 0.0), (3.0, 0.16, -3.0, 0.16)
-    unseen = Plan(walls=[near], seen_free_everywhere=False)
+    unseen = Plan(walls=[near], hidden=[((-3.0, 0.0, 0.0), (3.0, 0.099, 2.4))])
     assert pairs(derived(rules, cabinet, unseen), "attached_to") == {("cabinet_1", "wall_0")}
     assert not pairs(derived(rules, cabinet, Plan(walls=[near])), "attached_to"), "the space behind it was seen"
     assert not pairs(derived(rules, cabinet, Plan(walls=[far])), "attached_to"), "it lies behind this face"

@@ -78,7 +78,8 @@ def cup() -> np.ndarray:
 class Plan:
     """A building: walls as segments in plan with their range of heights, floors and slabs as heights, doors as points.
 
-    A way around structure leads through one of the doors; what was not seen is listed as `unseen` walls.
+    A way around structure leads through one of the doors; what was not seen is listed as `unseen` walls, and space that
+    was not seen as `hidden` boxes, lowest and highest corner of each.
     """
 
     floors: Mapping[str, float] = field(default_factory=lambda: {"plane_1": 0.0})
@@ -88,6 +89,7 @@ class Plan:
     doors: Sequence[tuple[float, float]] = ()
     ceilings: Mapping[str, float] = field(default_factory=dict)
     seen_free_everywhere: bool = True
+    hidden: Sequence[tuple[tuple[float, float, float], tuple[float, float, float]]] = ()
 
     def floor_below(self, x: float, y: float, z: float) -> tuple[str, float] | None:
         below = {name: height for name, height in self.floors.items() if height <= z + 0.3}
@@ -138,7 +140,10 @@ class Plan:
         return (way, way) if way <= limit_m else (np.inf, np.inf)
 
     def seen_free(self, points: np.ndarray) -> np.ndarray:
-        return np.full(len(points), self.seen_free_everywhere)
+        free = np.full(len(points), self.seen_free_everywhere)
+        for low, high in self.hidden:
+            free &= ~((points >= low) & (points <= high)).all(axis=1)
+        return free
 
 
 def _cross(p: np.ndarray, q: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
