@@ -17,7 +17,6 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +38,6 @@ def problem(code: str, message: str, hint: str = "") -> Compound:
 
 def _timed_out() -> Compound:
     return problem("timeout", "the goal did not end in the time it was given and had to be broken off")
-
-
-@dataclass
-class _Owed:
-    """A reply that the worker owes; None until it was read, and when it died over it."""
-
-    deadline: float
-    reply: Term | None = None
 
 
 class Engine:
@@ -73,7 +64,6 @@ class Engine:
         self._remembered = remembered
         self._limits = (stack_limit_bytes, memory_limit_bytes)
         self._lock = threading.RLock()
-        self._owed: _Owed | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._to_worker = self._from_worker = -1
         self.restarts = 0
@@ -111,43 +101,6 @@ class Engine:
                     self._restart()
             return problem("resource_limit", "the goal used up the engine's memory twice; the engine was started anew")
 
-    def begin(self, command: Term, payload: str = "", *, timeout_s: float) -> Callable[[], Term]:
-        """Begin a command; what is returned gives its result, as `request` does, and waits for it where need be.
-
-        The worker goes on beside its owner meanwhile. Whatever is asked in between waits until it has ended.
-        """
-        with self._lock:
-            self._ensure_running()
-            self._take_owed()
-            owed = _Owed(time.monotonic() + timeout_s + _GRACE_S)
-            try:
-                self._send(command, payload)
-                self._owed = owed
-            except BrokenPipeError:
-                self._restart()  # who wants the result asks anew
-
-        def result() -> Term:
-            with self._lock:
-                if self._owed is owed:
-                    self._take_owed()
-                return self.request(command, payload, timeout_s=timeout_s) if owed.reply is None else owed.reply
-
-        return result
-
-    def _take_owed(self) -> None:
-        """Read the reply that the worker owes, before it is asked anything else."""
-        owed = self._owed
-        if owed is None:
-            return
-        try:
-            owed.reply = self._receive(owed.deadline)
-            self._owed = None
-        except TimeoutError:
-            self._restart()
-            owed.reply = _timed_out()
-        except (EOFError, BrokenPipeError):
-            self._restart()
-
     def tell(self, change: Callable[[], str]) -> Term:
         """Carry out `change` on what is remembered and tell the worker the text that it returns.
 
@@ -155,7 +108,6 @@ class Engine:
         """
         with self._lock:
             self._ensure_running()
-            self._take_owed()
             text = change()
             if not text:
                 return Atom("updated")
@@ -178,7 +130,6 @@ class Engine:
             self._process = None
 
     def _exchange(self, command: Term, payload: str, timeout_s: float) -> Term:
-        self._take_owed()
         self._send(command, payload)
         return self._receive(time.monotonic() + timeout_s + _GRACE_S)
 
@@ -224,7 +175,6 @@ class Engine:
             raise InvalidRules(str(loaded.args[1]))
 
     def _restart(self) -> None:
-        self._owed = None  # who waits for it asks anew
         self._stop()
         self.restarts += 1
         self._start()

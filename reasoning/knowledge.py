@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
@@ -239,22 +239,10 @@ class KnowledgeBase:
 
         Variables are named: `kb.call(Compound("near_distance", (Atom("a"), Atom("b"), Var("D"))))` → `[{"D": 0.5}]`.
         """
-        return self.begin(goal, timeout_s=timeout_s, limit=limit)()
-
-    def begin(
-        self, goal: Compound | Atom | str, *, timeout_s: float = 10.0, limit: int = 1_000_000
-    ) -> Callable[[], list[dict[str, Term]]]:
-        """Begin what `call` does: what is returned gives the answers and waits for them where need be. The rules work
-        beside their asker meanwhile; whatever else is asked in between waits for them."""
         text = goal if isinstance(goal, str) else term_text(goal)
-        command = Compound("call", (int(limit), float(timeout_s)))
-        result = self._engine.begin(command, text, timeout_s=timeout_s)
-
-        def answers() -> list[dict[str, Term]]:
-            names, rows = self._expect("answers", result()).args
-            return list(_answers(names, rows))
-
-        return answers
+        result = self._engine.request(Compound("call", (int(limit), float(timeout_s))), text, timeout_s=timeout_s)
+        names, rows = self._expect("answers", result).args
+        return list(_answers(names, rows))
 
     def derived_edges(self, ids: Iterable[str]) -> tuple[list[str], list[DerivedEdge]]:
         """Every edge that the rules now derive at `ids` and at what stands on them.

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from typing import Any, cast
 
 from mapping.observations import ClassInfo, RobotDescription
 from reasoning.knowledge import DerivedEdge, KnowledgeBase
+from reasoning.labelling import PlaneFacts, PlaneRelation, PlaneRules
 from reasoning.terms import Atom, Compound, Term, Var
 from scenegraph import facts
 from scenegraph.answers import Answers
@@ -15,7 +16,6 @@ from scenegraph.doubts import CONTRARY, Doubts
 from scenegraph.graph import Edge, EdgeKey, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 from scenegraph.perception.relations import MeasurementChange
-from scenegraph.perception.structure import rules_labeller
 from scenegraph.statements import Statement
 
 DERIVED = frozenset(
@@ -48,7 +48,7 @@ class Meaning:
     def __init__(self, knowledge: KnowledgeBase, config: WorldConfig) -> None:
         self.knowledge = knowledge
         self._facts_of: dict[str, frozenset[Compound]] = {}
-        self.label_planes = rules_labeller(knowledge)
+        self._plane_rules = PlaneRules.of(knowledge)
         self._containers: dict[str, bool] = {}
         self._structural: dict[str, bool] = {}
         self._doubts = Doubts()
@@ -86,6 +86,10 @@ class Meaning:
     def is_structural(self, label: str) -> bool:
         """Whether things of this class are part of the building: doors, windows."""
         return self._known(self._structural, label, lambda c: Compound("subclass", (c, Atom("structure"))))
+
+    def label_planes(self, planes: Sequence[PlaneFacts], relations: Sequence[PlaneRelation]) -> Mapping[int, str]:
+        """What each of the planes is, by its id."""
+        return self._plane_rules.label(planes, relations).labels
 
     def _known(self, cache: dict[str, bool], label: str, goal: Any) -> bool:
         if label not in cache:

@@ -85,17 +85,16 @@ class Perception:
     ) -> GraphChanges:
         """Everything that follows from one observation's change of the map, and from boxes that were detected."""
         changes = self._found(graph, stamp_ns)
-        planes_are_labelled = self.structure.look(
+        structure_changes = self.structure.update(
             self._map.planes, seen.planes, self._evidence, self._meaning.label_planes, stamp_ns
         )
-        # the rules label the planes meanwhile
-        object_changes, reshaped = self.objects.update(self._map.instances, seen.instances, graph, seen.view, stamp_ns)
-        changes.extend(_still_possible(planes_are_labelled(), graph))
-        changes.extend(object_changes)
+        changes.extend(_still_possible(structure_changes, graph))
         labelled = self.structure.fresh
         self.building.update(labelled, seen.planes.deleted)
         self.rooms.forget_planes(seen.planes.deleted)
 
+        object_changes, reshaped = self.objects.update(self._map.instances, seen.instances, graph, seen.view, stamp_ns)
+        changes.extend(object_changes)
         box_changes, reboxed = self.boxes.update(boxes, reshaped, self._cluster_at, graph, stamp_ns)
         changes.extend(box_changes)
         reshaped |= reboxed

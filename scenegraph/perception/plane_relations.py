@@ -5,8 +5,7 @@ What these relations mean for a plane's label is a rule (`rules/structure.pl`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,28 +13,9 @@ from numpy.typing import NDArray
 
 from mapping.kernels.shapes import median
 from mapping.planes import PlaneMap, PlaneSummary
+from reasoning.labelling import PlaneFacts, PlaneRelation
 
 Array: TypeAlias = NDArray[Any]
-Relation: TypeAlias = tuple[str, int, int]
-
-
-@dataclass(frozen=True)
-class PlaneFacts:
-    """What the rules know of one plane; lengths in metres.
-
-    facing   : up | down | side | oblique
-    evidence : class → share of the plane's surface that carries it
-    given    : the label of a plane that only serves as context, else None
-    """
-
-    id: int
-    facing: str
-    z_min: float
-    z_max: float
-    width_m: float
-    area_m2: float
-    evidence: Mapping[str, float] = field(default_factory=dict)
-    given: str | None = None
 
 
 _LEVEL = float(np.cos(np.deg2rad(18.0)))  # a normal this close to the vertical: level
@@ -80,7 +60,7 @@ def measured(summary: PlaneSummary, k: int) -> PlaneFacts:
     )
 
 
-def relations_between(a: MeasuredPlane, b: MeasuredPlane, planes: PlaneMap) -> list[Relation]:
+def relations_between(a: MeasuredPlane, b: MeasuredPlane, planes: PlaneMap) -> list[PlaneRelation]:
     """What the rules may know of two planes: parallel, orthogonal, equalheight, above (the first over the second).
 
     Level planes relate when one covers ground beside the other's, within a storey; a level and an upright plane when
@@ -96,7 +76,7 @@ def relations_between(a: MeasuredPlane, b: MeasuredPlane, planes: PlaneMap) -> l
     return _standing_relations(a, b, planes) if b.facts.facing == "side" else _standing_relations(b, a, planes)
 
 
-def _level_relations(a: MeasuredPlane, b: MeasuredPlane, planes: PlaneMap) -> list[Relation]:
+def _level_relations(a: MeasuredPlane, b: MeasuredPlane, planes: PlaneMap) -> list[PlaneRelation]:
     small, large = (a, b) if a.facts.area_m2 < b.facts.area_m2 else (b, a)
     near = planes.near(large.facts.id, small.points, _BESIDE_M, TALLEST_ROOM_M)
     if not near.any():
@@ -104,7 +84,7 @@ def _level_relations(a: MeasuredPlane, b: MeasuredPlane, planes: PlaneMap) -> li
     # measured where they are close: floors of long corridors are not quite level
     rise = median(small.points[near] @ large.normal - large.offset) / float(large.normal[2])
     pair = (a.facts.id, b.facts.id)
-    found: list[Relation] = [("parallel", *pair)]
+    found: list[PlaneRelation] = [("parallel", *pair)]
     upper, lower = (small, large) if rise > 0.0 else (large, small)
     alike = a.facts.facing == b.facts.facing
     if abs(rise) <= _EQUAL_M:
@@ -114,11 +94,11 @@ def _level_relations(a: MeasuredPlane, b: MeasuredPlane, planes: PlaneMap) -> li
     return []
 
 
-def _standing_relations(level: MeasuredPlane, upright: MeasuredPlane, planes: PlaneMap) -> list[Relation]:
+def _standing_relations(level: MeasuredPlane, upright: MeasuredPlane, planes: PlaneMap) -> list[PlaneRelation]:
     near = planes.near(level.facts.id, upright.points + 0.1 * upright.normal, _BESIDE_M, TALLEST_ROOM_M)
     if np.count_nonzero(near) < 0.3 * len(near):
         return []
-    found: list[Relation] = [("orthogonal", level.facts.id, upright.facts.id)]
+    found: list[PlaneRelation] = [("orthogonal", level.facts.id, upright.facts.id)]
     rise = median(upright.points @ level.normal - level.offset) / float(level.normal[2])
     if level.facts.facing == "down" and rise < 0.0:
         found.append(("above", level.facts.id, upright.facts.id))
@@ -129,7 +109,7 @@ def _standing_relations(level: MeasuredPlane, upright: MeasuredPlane, planes: Pl
     return found
 
 
-def _upright_relations(a: MeasuredPlane, b: MeasuredPlane, planes: PlaneMap) -> list[Relation]:
+def _upright_relations(a: MeasuredPlane, b: MeasuredPlane, planes: PlaneMap) -> list[PlaneRelation]:
     small, large = (a, b) if a.facts.area_m2 < b.facts.area_m2 else (b, a)
     pair = (a.facts.id, b.facts.id)
     cosine = abs(float(a.normal @ b.normal))
@@ -138,7 +118,7 @@ def _upright_relations(a: MeasuredPlane, b: MeasuredPlane, planes: PlaneMap) -> 
         return [("parallel", *pair)] if before else []
     if not planes.near(large.facts.id, small.points, _BESIDE_M, _BESIDE_M).any():
         return []
-    found: list[Relation] = [("orthogonal", *pair)] if cosine <= _ORTHOGONAL else []
+    found: list[PlaneRelation] = [("orthogonal", *pair)] if cosine <= _ORTHOGONAL else []
     if found and abs(a.facts.z_max - b.facts.z_max) <= _EQUAL_M:
         found.append(("equalheight", *pair))
     return found

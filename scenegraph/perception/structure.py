@@ -16,24 +16,21 @@ from numpy.typing import NDArray
 
 from mapping.geometry import SE3
 from mapping.planes import Plane, PlaneChange, PlaneMap, PlaneSummary
-from reasoning.knowledge import KnowledgeBase
-from reasoning.terms import Atom, term_text
+from reasoning.labelling import PlaneFacts, PlaneRelation
 from scenegraph.graph import Box, GraphChanges, Node, SceneGraph
 from scenegraph.perception.neighbours import GroundIndex
 from scenegraph.perception.plane_relations import (
     FRONT_M,
     TALLEST_ROOM_M,
     MeasuredPlane,
-    PlaneFacts,
-    Relation,
     measured,
     relations_between,
 )
 
 Array: TypeAlias = NDArray[Any]
 
-Labeller: TypeAlias = Callable[[Sequence[PlaneFacts], Sequence[Relation]], Callable[[], Mapping[int, str]]]
-"""Planes and relations (name, id, id) → what gives, and waits for, a label for every plane."""
+Labeller: TypeAlias = Callable[[Sequence[PlaneFacts], Sequence[PlaneRelation]], Mapping[int, str]]
+"""Planes and their relations → a label for every plane, by its id."""
 Evidence: TypeAlias = Callable[[Array], Mapping[str, float]]
 """Points (N, 3) [m] on a plane → class → share of the points that carry it; what carries no label is left out."""
 
@@ -41,27 +38,6 @@ Evidence: TypeAlias = Callable[[Array], Mapping[str, float]]
 def no_evidence(_: Array) -> Mapping[str, float]:
     """For maps without labels."""
     return {}
-
-
-def rules_labeller(knowledge: KnowledgeBase, *, timeout_s: float = 5.0) -> Labeller:
-    """Labels by the rules: `label_planes/3` of `rules/structure.pl`, asked of a knowledge base."""
-
-    def label(planes: Sequence[PlaneFacts], relations: Sequence[Relation]) -> Callable[[], dict[int, str]]:
-        told = ",".join(map(_plane_text, planes))
-        related = ",".join([f"relation({name},{a},{b})" for name, a, b in relations])
-        answers = knowledge.begin(f"label_planes([{told}],[{related}],Labels)", timeout_s=timeout_s)
-        return lambda: {int(pair.args[0]): pair.args[1].name for pair in answers()[0]["Labels"]}  # type: ignore[union-attr]
-
-    return label
-
-
-def _plane_text(plane: PlaneFacts) -> str:
-    """A plane as `rules/structure.pl` takes it: written here, since many go along each time; without operators, since a
-    class may be called like one (`table`)."""
-    shares = [f"-({term_text(Atom(name))},{share:.4f})" for name, share in sorted(plane.evidence.items())]
-    evidence = f"[{','.join(shares)}]" if plane.given is None else f"given({term_text(Atom(plane.given))})"
-    measures = f"{plane.z_min:.4f},{plane.z_max:.4f},{plane.width_m:.4f},{plane.area_m2:.4f}"
-    return f"plane({plane.id},{plane.facing},{measures},{evidence})"
 
 
 _HUB = 24
@@ -83,7 +59,7 @@ class Structure:
         self._seen: dict[int, MeasuredPlane] = {}
         self._label: dict[int, str] = {}
         self._node: dict[int, Node] = {}
-        self._between: dict[int, dict[int, list[Relation]]] = {}
+        self._between: dict[int, dict[int, list[PlaneRelation]]] = {}
         self._unsettled: set[int] = set()
         self._dismissed: set[int] = set()
         self.fresh: list[tuple[str, Plane]] = []
@@ -109,13 +85,6 @@ class Structure:
         self, planes: PlaneMap, change: PlaneChange, evidence: Evidence, label: Labeller, stamp_ns: int
     ) -> GraphChanges:
         """Measure and label what changed; returns the changes of the structure nodes `plane_<id>`."""
-        return self.look(planes, change, evidence, label, stamp_ns)()
-
-    def look(
-        self, planes: PlaneMap, change: PlaneChange, evidence: Evidence, label: Labeller, stamp_ns: int
-    ) -> Callable[[], GraphChanges]:
-        """As `update`, in two steps: what changed is measured at once; what is returned waits for the labels and gives
-        the changes. To be called before the next look."""
         changes = GraphChanges()
         self.fresh = []
         active = {i for i in self._unsettled if i in self._seen}
@@ -129,23 +98,16 @@ class Structure:
             self._relate(plane_id, planes)
         active |= set(noticed)
         self._unsettled = active  # stays so, if labelling fails
-        flip = self._relabel(active, label) if active else set
-        for plane_id in noticed:
-            planes.plane(plane_id)  # described while the labels are found
-
-        def settle() -> GraphChanges:
-            flipped = flip()
-            self._unsettled = flipped - set(noticed)
-            for plane_id in sorted({*noticed, *flipped}):
-                self._put(planes.plane(plane_id), plane_id in changed, stamp_ns, changes)
-            for plane_id in changed - set(noticed) - flipped:
-                node = self._node[plane_id]
-                if stamp_ns - node.last_seen_ns >= self.refresh_ns:
-                    self._node[plane_id] = node = node.replace(last_seen_ns=stamp_ns)
-                    changes.put(node)
-            return changes
-
-        return settle
+        flipped = self._relabel(active, label) if active else set()
+        self._unsettled = flipped - set(noticed)
+        for plane_id in sorted({*noticed, *flipped}):
+            self._put(planes.plane(plane_id), plane_id in changed, stamp_ns, changes)
+        for plane_id in changed - set(noticed) - flipped:
+            node = self._node[plane_id]
+            if stamp_ns - node.last_seen_ns >= self.refresh_ns:
+                self._node[plane_id] = node = node.replace(last_seen_ns=stamp_ns)
+                changes.put(node)
+        return changes
 
     def dismiss(self, node_id: str) -> list[int]:
         """Give up the plane behind a node, for as long as it lasts; returns its id, if there is one."""
@@ -241,7 +203,7 @@ class Structure:
         """Measure the relations of a plane to all about it."""
         for other in self._between.pop(plane_id, {}):
             self._between[other].pop(plane_id, None)
-        mine: dict[int, list[Relation]] = {}
+        mine: dict[int, list[PlaneRelation]] = {}
         self._between[plane_id] = mine
         a = self._seen[plane_id]
         for other in map(int, self._index.within((a.low, a.high), FRONT_M)):
@@ -254,9 +216,8 @@ class Structure:
                 mine[other] = found
                 self._between.setdefault(other, {})[plane_id] = found
 
-    def _relabel(self, active: set[int], label: Labeller) -> Callable[[], set[int]]:
-        """Label the active planes and their neighbours anew; what is returned gives those whose label changed or is
-        new."""
+    def _relabel(self, active: set[int], label: Labeller) -> set[int]:
+        """Label the active planes and their neighbours anew; returns those whose label changed or is new."""
         free = set(active)
         for plane_id in active:
             free.update(
@@ -273,14 +234,9 @@ class Structure:
             for relation in found
         ]
         labels = label(facts, relations)
-
-        def flip() -> set[int]:
-            found = labels()
-            flipped = {i for i in free if self._label.get(i) != found[i]}
-            self._label.update({i: found[i] for i in flipped})
-            return flipped
-
-        return flip
+        flipped = {i for i in free if self._label.get(i) != labels[i]}
+        self._label.update({i: labels[i] for i in flipped})
+        return flipped
 
     def _put(self, plane: Plane, seen_now: bool, stamp_ns: int, changes: GraphChanges) -> None:
         old = self._node.get(plane.id)

@@ -184,19 +184,6 @@ def test_a_trusted_call_that_goes_wrong_raises(home: KnowledgeBase, goal: str, c
     assert caught.value.code == code
 
 
-def test_planes_are_labelled_through_a_trusted_call(home: KnowledgeBase) -> None:
-    planes = [
-        Compound("plane", (1, Atom("up"), 0.0, 0.0, 4.0, 12.0, [])),
-        Compound("plane", (2, Atom("down"), 2.5, 2.5, 4.0, 12.0, [])),
-        Compound("plane", (3, Atom("side"), 0.0, 2.5, 4.0, 10.0, [])),
-    ]
-    orthogonal = [Compound("relation", (Atom("orthogonal"), a, b)) for a, b in ((3, 1), (1, 3), (3, 2), (2, 3))]
-    levels = [Compound("relation", (Atom("above"), 2, 1)), Compound("relation", (Atom("under"), 1, 2))]
-    [answer] = home.call(Compound("label_planes", (planes, orthogonal + levels, Var("Labels"))))
-    labels = {pair.args[0]: str(pair.args[1]) for pair in answer["Labels"]}  # type: ignore[union-attr]
-    assert labels == {1: "floor", 2: "ceiling", 3: "wall"}
-
-
 def test_the_vocabulary_can_be_listed(home: KnowledgeBase) -> None:
     words = home.vocabulary()
     assert words["near(thing, thing)"] == "a short way apart, around walls"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,10 @@ from mapping.observations import Scan
 from mapping.planes import PlaneMap
 from mapping.tsdf import TsdfMap
 from reasoning import KnowledgeBase
+from reasoning.labelling import PlaneFacts, PlaneRelation, PlaneRules
 from scenegraph.graph import SceneGraph
-from scenegraph.perception.plane_relations import PlaneFacts, Relation, facing
-from scenegraph.perception.structure import Labeller, Structure, no_evidence, rules_labeller
+from scenegraph.perception.plane_relations import facing
+from scenegraph.perception.structure import Labeller, Structure, no_evidence
 from tests.naive_planes import Rectangle, Soup, box
 from tests.support.recordings import recording
 
@@ -23,9 +24,10 @@ X, Y, Z = np.eye(3)
 
 
 @pytest.fixture(scope="module")
-def label() -> Iterator[Labeller]:
+def label() -> Labeller:
     with KnowledgeBase() as knowledge:
-        yield rules_labeller(knowledge)
+        rules = PlaneRules.of(knowledge)
+    return lambda planes, relations: rules.label(planes, relations).labels
 
 
 class Home:
@@ -37,11 +39,11 @@ class Home:
         self.structure = Structure()
         self.graph = SceneGraph()
         self.evidence = evidence
-        self.calls: list[tuple[Sequence[PlaneFacts], Sequence[Relation]]] = []
+        self.calls: list[tuple[Sequence[PlaneFacts], Sequence[PlaneRelation]]] = []
         self._label = label
         self._now = 0
 
-    def label(self, planes: Sequence[PlaneFacts], relations: Sequence[Relation]) -> Callable[[], Mapping[int, str]]:
+    def label(self, planes: Sequence[PlaneFacts], relations: Sequence[PlaneRelation]) -> Mapping[int, str]:
         self.calls.append((planes, relations))
         return self._label(planes, relations)
 
@@ -247,11 +249,8 @@ def test_planes_that_could_not_be_labelled_are_labelled_next_time(label: Labelle
     assert home.label_at(table) == "no_feature"
 
 
-def _out_of_time(_: Sequence[PlaneFacts], __: Sequence[Relation]) -> Callable[[], Mapping[int, str]]:
-    def too_late() -> Mapping[int, str]:
-        raise TimeoutError
-
-    return too_late
+def _out_of_time(_: Sequence[PlaneFacts], __: Sequence[PlaneRelation]) -> Mapping[int, str]:
+    raise TimeoutError
 
 
 # -- nodes -------------------------------------------------------------------------------------------------------
