@@ -81,9 +81,7 @@ class PlaneRules:
 
     def __init__(self, network: Compound) -> None:
         numbers, labels, shapes, unseen, needs, goes, trusted, never, worth, supports, neutral = network.args
-        self._least_area, self._share, self._evidence, self._smallest, self._largest = map(
-            float, cast(Any, cast(Compound, numbers).args)
-        )
+        self._share, self._evidence, self._smallest, self._largest = map(float, cast(Any, cast(Compound, numbers).args))
         costs = [_strict(line, "label", 2) for line in _lines(labels)]
         self.labels = [str(label) for label, _ in costs] + [NO_FEATURE]
         if len(set(self.labels)) < len(self.labels):
@@ -192,7 +190,6 @@ class PlaneRules:
         total = shares.sum(axis=1)
         evident = shares >= self._share
         possible = np.ones((n, size), np.bool_)
-        possible[measures["area"] < self._least_area, :-1] = False
         for label, condition in self._shape:
             possible[:, label] &= condition(measures, measures)
         for label, condition in self._unseen:
@@ -333,16 +330,17 @@ def _condition(conditions: Term, line: Compound) -> Condition:
     """All conditions of a list."""
     tests = [_test(condition, line) for condition in cast(list[Term], conditions)]
 
-    def holds(a: Measures, b: Measures) -> Array:
-        return reduce(operator.and_, (test(a, b) for test in tests), np.ones(len(a["area"]), np.bool_))
+    def hold(a: Measures, b: Measures) -> Array:
+        return reduce(operator.and_, (test(a, b) for test in tests)) if tests else np.ones(len(a["area"]), np.bool_)
 
-    return holds
+    return hold
 
 
 def _test(term: Term, line: Compound) -> Condition:
     if isinstance(term, Compound) and term.name == "one_of" and len(term.args) == 2:
-        facings = [FACINGS.index(str(name)) for name in cast(list[Term], term.args[1]) if str(name) in FACINGS]
-        return lambda a, _: np.isin(a["facing"], facings)
+        wanted = {str(name) for name in cast(list[Term], term.args[1])}
+        suits = np.array([name in wanted for name in FACINGS])
+        return lambda a, _: suits[a["facing"]]
     if isinstance(term, Compound) and term.name in _COMPARISONS and len(term.args) == 2:
         compare = _COMPARISONS[term.name]
         x, y = (_expression(argument, line) for argument in term.args)

@@ -44,7 +44,8 @@ All of the network is tables here: label/2, shape/2, unseen_shape/2,
 needs/4, goes/4, trusted/3, never/2, worth/2, supports_label/2,
 neutral_class/1. `reasoning/labelling.py` reads them once, by network/1,
 and finds the cheapest labelling of planes. What it minimises is
-labelling_cost/4. A rule file adds a label by more lines of the tables:
+labelling_cost/4. A rule file adds a label by more lines of the tables, as
+`rules/optional/furniture_planes.pl` does:
 
     structure:label(table_top, 0.01).
     structure:shape(table_top, [one_of(facing, [up]), area >= 0.3]).
@@ -218,10 +219,10 @@ label(door, 0.01).
 %
 %   What a plane with this Label is like, whatever else speaks for it.
 
-shape(wall, [one_of(facing, [side]), width >= wall_width]).
-shape(door, [one_of(facing, [side]), width >= wall_width]).
-shape(floor, [one_of(facing, [up, oblique])]).
-shape(ceiling, [one_of(facing, [down, oblique])]).
+shape(wall, [one_of(facing, [side]), width >= wall_width, area >= structure_area]).
+shape(door, [one_of(facing, [side]), width >= wall_width, area >= structure_area]).
+shape(floor, [one_of(facing, [up, oblique]), area >= structure_area]).
+shape(ceiling, [one_of(facing, [down, oblique]), area >= structure_area]).
 
 %!  unseen_shape(?Label, ?Conditions) is nondet.
 %
@@ -350,9 +351,6 @@ label_cost(no_feature, Plane, Shares, Against, Cost) :-
     sum_list(For, Sum),
     Cost is Weight*(1.0-Against) + Evidence*Sum.
 label_cost(Label, Plane, Shares, Against, Cost) :-
-    structure_area(Least),
-    arg(6, Plane, Area),
-    Area >= Least,
     label(Label, Prior),
     forall(shape(Label, Conditions), met(Conditions, Plane, none)),
     (   evident(Label, Shares)
@@ -560,16 +558,15 @@ costs([Plane|Planes], Labels, Cost0, Cost) :-
 %
 %   All tables, with numbers in the place of names, as
 %
-%       network(numbers(Area, EvidentShare, EvidenceWeight, Smallest, Largest),
+%       network(numbers(EvidentShare, EvidenceWeight, Smallest, Largest),
 %               Labels, Shapes, Unseen, Needs, Goes, Trusted, Never, Worth,
 %               Supports, Neutral)
 %
 %   where each but the first is a list of lines, such as goes(above, wall,
 %   floor, [a(z_min)-b(z_max) =< 1.6]).
 
-network(network(numbers(Area, Share, Evidence, Least, Most),
+network(network(numbers(Share, Evidence, Least, Most),
                 Labels, Shapes, Unseen, Needs, Goes, Trusted, Never, Worth, Supports, Neutral)) :-
-    structure_area(Area),
     evident_share(Share),
     evidence_weight(Evidence),
     smallest_weight(Least),

@@ -15,6 +15,7 @@ from reasoning.errors import InvalidRules
 from reasoning.knowledge import KnowledgeBase
 from reasoning.labelling import FACINGS, NO_FEATURE, PlaneFacts, PlaneRelation, PlaneRules
 from reasoning.terms import Atom, Compound, Term, Var
+from rules import rule_path
 from tests.support.storey_planes import storey_planes
 
 REFERENCE = Path(__file__).parents[1] / "rules" / "generate_and_test.pl"
@@ -289,14 +290,6 @@ def test_what_takes_too_long_is_labelled_with_a_bound(rules: PlaneRules) -> None
 
 # -- rules of one's own ----------------------------------------------------------------------------------------
 
-TABLE_TOPS = """
-structure:label(table_top, 0.01).
-structure:shape(table_top, [one_of(facing, [up]), area >= 0.3]).
-structure:needs(table_top, above, floor, [a(z_min)-b(z_max) >= 0.4, a(z_min)-b(z_max) =< 1.2]).
-structure:goes(_, table_top, _, []).
-structure:supports_label(table, table_top).
-"""
-
 
 def with_rules(tmp_path: Path, text: str) -> PlaneRules:
     file = tmp_path / "own.pl"
@@ -305,11 +298,66 @@ def with_rules(tmp_path: Path, text: str) -> PlaneRules:
         return PlaneRules.of(knowledge)
 
 
+@pytest.fixture(scope="module")
+def furniture() -> Iterator[KnowledgeBase]:
+    with KnowledgeBase([REFERENCE, rule_path("optional/furniture_planes")]) as knowledge:
+        yield knowledge
+
+
 def test_a_new_label_is_a_few_lines_of_a_rule_file(tmp_path: Path) -> None:
-    own = with_rules(tmp_path, TABLE_TOPS)
-    heights = [plane(9, "up", z, z, 1.6, 1.2) for z in (0.2, 0.74, 1.6)]
-    assert [furnished(own, [top])[0] for top in heights] == [NO_FEATURE, "table_top", NO_FEATURE]
+    own = with_rules(
+        tmp_path,
+        """
+        structure:label(sill, 0.01).
+        structure:shape(sill, [one_of(facing, [up]), width >= 0.5, area =< 0.4]).
+        structure:needs(sill, above, floor, [a(z_min)-b(z_max) >= 0.6, a(z_min)-b(z_max) =< 1.2]).
+        structure:goes(_, sill, _, []).
+        """,
+    )
+    heights = [plane(9, "up", z, z, 1.0, 0.2) for z in (0.2, 0.9, 1.6)]
+    assert [furnished(own, [level])[0] for level in heights] == [NO_FEATURE, "sill", NO_FEATURE]
     assert furnished(own, [], at=(FLOOR, *WALLS)) == ["floor", *["wall"] * 4]
+
+
+@pytest.mark.parametrize(
+    ("pieces", "between", "expected"),
+    [
+        pytest.param([plane(9, "up", 0.74, 0.76, 1.6, 1.2)], [], ["table_top"], id="table"),
+        pytest.param([plane(9, "up", 1.74, 1.76, 1.6, 1.2)], [], [NO_FEATURE], id="too high for a table"),
+        pytest.param([plane(8, "up", 1.2, 1.2, 0.8, 0.24), plane(9, "up", 1.6, 1.6, 0.8, 0.25)],
+                     [("parallel", 8, 9), ("above", 9, 8)], ["shelf_board", "shelf_board"], id="boards"),
+        pytest.param([plane(9, "down", 1.6, 1.6, 0.8, 0.24)], [], [NO_FEATURE], id="a board alone"),
+        pytest.param([plane(9, "side", 0.0, 2.1, 1.8, 3.8)], [("parallel", 9, NORTH)], ["cupboard_front"],
+                     id="cupboard"),
+        pytest.param([plane(9, "side", 0.9, 2.1, 1.2, 1.4, window=0.7)], [("parallel", 9, NORTH)], ["window"],
+                     id="window"),
+        pytest.param([plane(k, "up", 0.18 * (k - 6), 0.18 * (k - 6), 0.9, 0.25) for k in (7, 8, 9)],
+                     [("parallel", 7, 8), ("above", 8, 7), ("parallel", 8, 9), ("above", 9, 8)], ["tread"] * 3,
+                     id="stairs"),
+    ],
+)  # fmt: skip
+def test_furniture_has_labels_where_its_rules_are_loaded(
+    furniture: KnowledgeBase, pieces: list[PlaneFacts], between: list[PlaneRelation], expected: list[str]
+) -> None:
+    rules = PlaneRules.of(furniture)
+    labels = furnished(rules, pieces, *between, at=(FLOOR, CEILING, *WALLS))
+    assert labels == [*expected, "floor", "ceiling", *["wall"] * 4]
+
+
+def test_labels_of_furniture_take_none_from_structure(rules: PlaneRules, furniture: KnowledgeBase) -> None:
+    planes, relations = storey_planes(200, 0.3, seed=3)
+    with_furniture = PlaneRules.of(furniture).label(planes, relations)
+    assert with_furniture.optimal
+    for plane_id, label in rules.label(planes, relations).labels.items():
+        assert label in (NO_FEATURE, with_furniture.labels[plane_id])
+
+
+@settings(max_examples=60, deadline=None)
+@given(scene=scenes(most=6))
+def test_nor_are_any_cheaper_among_more_labels(
+    furniture: KnowledgeBase, scene: tuple[list[PlaneFacts], list[PlaneRelation]]
+) -> None:
+    _compare(PlaneRules.of(furniture), furniture, *scene)
 
 
 @pytest.mark.parametrize(
