@@ -15,8 +15,8 @@ Array: TypeAlias = NDArray[Any]
 Int: TypeAlias = Any
 Float: TypeAlias = Any
 
-_MANY = 128
-"""So many changes of sites cost as much as looking for the nearest sites of all voxels of a block."""
+_NONE = np.int32(1 << 29)
+"""Farther than any site, squared."""
 
 
 @njit(cache=True)
@@ -29,7 +29,7 @@ def decode(
     values  : (far + 1,) float32, see `mend_from_classes`
     wanted  : (512,) bool, filled: targets of which no distance on this side is stored; their squared one is `far`
 
-    Returns whether there is any target, and whether any is wanted.
+    Returns whether there is any target of which a distance is stored, and whether any is wanted.
     """
     far = values.shape[0] - 1
     some = np.uint64(0)
@@ -37,65 +37,88 @@ def decode(
         some |= targets[x]
     if some == 0:
         return False, False
-    some_wanted = False
+    some_known = some_wanted = False
     for w in range(512):
         is_target = (targets[w >> 6] >> np.uint64(w & 63)) & np.uint64(1) != 0
         distance = side * stored[w]
         root = np.float64(distance) / voxel_size + 0.5
         known = distance > np.float32(0.0)
         wanted[w] = is_target & (not known)
+        some_known |= is_target & known
         some_wanted |= wanted[w]
         whole = np.int32(root * root + 0.5) if known & (distance < values[far]) else np.int32(far)
         squared[w] = whole if is_target else np.int32(-1)
-    return True, some_wanted
+    return some_known, some_wanted
 
 
 @njit(cache=True)
-def apply_sites(words: Array, toward: Array, reach: Int, vanish: bool, far: Int, squared: Array, wanted: Array) -> None:
-    """Let sites, bits (8,) uint64 of a block, appear or vanish for the 512 voxels of another, in place.
+def take_lower(away: Array, from_beside: Array, across: Int) -> None:
+    """Lower `away` (n,) int32 to `from_beside` (n,) int32 and what lies across, in place."""
+    for n in range(away.shape[0]):
+        total = np.int32(from_beside[n] + across)
+        away[n] = total if total < away[n] else away[n]
 
-    toward  : (3,) from the first voxel of the other block to that of the sites'
-    reach   : sites farther than this squared distance from all voxels of the other block change nothing
-    squared : (512,) int32; a site that appears comes to all voxels to which it is nearer
-    wanted  : (512,) bool; a site that vanishes leaves all voxels that are as far as it
+
+@njit(cache=True)
+def approach(words: Array, toward: Array, reach: Int, away: Array, slab: Array) -> None:
+    """Lower the squared distances of the 8³ voxels of a block to what they are from sites of another, in place.
+
+    words  : (8,) uint64, the sites, bits of the other block
+    toward : (3,) from the first voxel of the block to that of the sites'
+    reach  : sites farther than this squared distance from all voxels of the block are left out
+    away   : (8, 64) int32;  slab: (9, 8) int32, scratch
+
+    A squared distance is a sum over the axes, so that its least value is found along one axis after the other.
     """
-    planar = np.empty(8, np.int32)
+    line = slab[8]
     for lx in range(8):
-        if words[lx] == 0:
+        s0 = toward[0] + lx
+        before = gap(s0, s0, 0, 7) ** 2
+        if words[lx] == 0 or before > reach:
             continue
+        some = False
+        slab[:] = _NONE
         for ly in range(8):
             byte = np.int64((words[lx] >> np.uint64(8 * ly)) & np.uint64(255))
-            s0, s1 = toward[0] + lx, toward[1] + ly
-            between = gap(s0, s0, 0, 7) ** 2 + gap(s1, s1, 0, 7) ** 2
+            s1 = toward[1] + ly
+            beside = before + gap(s1, s1, 0, 7) ** 2
+            if byte == 0 or beside > reach:
+                continue
+            line[:] = _NONE
             while byte:
                 s2 = toward[2] + LOWEST[byte]
                 byte &= byte - 1
-                if between + gap(s2, s2, 0, 7) ** 2 > reach:
-                    continue
-                for z in range(8):
-                    planar[z] = (s2 - z) ** 2
-                for row in range(64):
-                    across = np.int32((s0 - (row >> 3)) ** 2 + (s1 - (row & 7)) ** 2)
+                if beside + gap(s2, s2, 0, 7) ** 2 <= reach:
                     for z in range(8):
-                        w = row << 3 | z
-                        away = np.int32(planar[z] + across)
-                        if vanish:
-                            wanted[w] |= (away == squared[w]) & (away < far)
-                        else:
-                            squared[w] = min(squared[w], away)
+                        d = np.int32(s2 - z)
+                        line[z] = min(line[z], np.int32(d * d))
+            for y in range(8):
+                d = np.int32(s1 - y)
+                take_lower(slab[y], line, np.int32(d * d))
+            some = True
+        if some:
+            plane = slab[:8].reshape(64)
+            for x in range(8):
+                d = np.int32(s0 - x)
+                take_lower(away[x], plane, np.int32(d * d))
 
 
 @njit(cache=True)
-def count_changes(appeared: Array, vanished: Array, plane: Int, rows: Array) -> Int:
-    """How many sites of a plane changed in the `rows` (n,) of appeared, vanished (k, 2, 8)."""
-    count = 0
+def withdraw(left: Array, squared: Array, far: Int, wanted: Array) -> None:
+    """Mark as wanted (512,) bool, in place, the voxels whose nearest site, at `squared` (512,) int32, is one of those
+    that left, of which the nearest is at `left` (512,) int32."""
+    for w in range(512):
+        wanted[w] |= (left[w] == squared[w]) & (squared[w] < far)
+
+
+@njit(cache=True)
+def have_changed(appeared: Array, vanished: Array, plane: Int, rows: Array) -> bool:
+    """Whether sites of a plane changed in the `rows` (n,) of appeared, vanished (k, 2, 8)."""
+    some = np.uint64(0)
     for n in rows:
         for x in range(8):
-            both = appeared[n, plane, x] | vanished[n, plane, x]
-            while both:
-                both &= both - np.uint64(1)
-                count += 1
-    return count
+            some |= appeared[n, plane, x] | vanished[n, plane, x]
+    return bool(some != 0)
 
 
 @njit(cache=True)
@@ -119,6 +142,7 @@ def mend_block(
     slot = grid[at]
     squared, nearest = np.empty(512, np.int32), np.empty(512, np.int32)
     wanted = np.empty(512, np.bool_)
+    left, come, slab = np.empty((8, 64), np.int32), np.empty((8, 64), np.int32), np.empty((9, 8), np.int32)
     toward = np.empty(3, np.int64)
     different = False
     for plane in range(2):
@@ -126,23 +150,22 @@ def mend_block(
         targets = planes[slot, FREE if plane == OCCUPIED else OCCUPIED]
         limit = np.int64(reach[slot, plane])
         reach[slot, plane] = 0
-        some, some_wanted = decode(distance[slot], targets, side, voxel_size, values, squared, wanted)
-        if not some:
+        some_known, some_wanted = decode(distance[slot], targets, side, voxel_size, values, squared, wanted)
+        if not (some_known or some_wanted):
             continue
-        count = count_changes(appeared, vanished, plane, rows)
-        if count == 0 and not some_wanted:
+        if not (some_wanted or have_changed(appeared, vanished, plane, rows)):
             reach[slot, plane] = limit
             continue
-        if count > _MANY:
-            for w in range(512):
-                wanted[w] = squared[w] >= 0
-        else:
-            for vanish in (True, False):
-                for n in rows:
-                    for a in range(3):
-                        toward[a] = 8 * (cells[n, a] - cell[a])
-                    words = vanished[n, plane] if vanish else appeared[n, plane]
-                    apply_sites(words, toward, limit, vanish, far, squared, wanted)
+        if some_known:
+            left[:] = _NONE
+            come[:] = _NONE
+            for n in rows:
+                for a in range(3):
+                    toward[a] = 8 * (cells[n, a] - cell[a])
+                approach(vanished[n, plane], toward, limit, left, slab)
+                approach(appeared[n, plane], toward, limit, come, slab)
+            withdraw(left.reshape(512), squared, far, wanted)
+            take_lower(squared, come.reshape(512), np.int32(0))
         find_nearest(planes, plane, grid, at, offsets, far, wanted, squared, nearest)
         top = np.int32(0)
         for w in range(512):
