@@ -150,16 +150,13 @@ class PackedStore:
             self.masks, self.first, slots, old, starts, self._free, self._links, self._end
         )
         self._n_records += int(kernels.count_records(self.masks[slots]) - kernels.count_records(old))
-        moved = source != target
-        source, target = source[moved], target[moved]
         full = self._end > self._links.size * kernels.CHUNK
         for name, field in self.fields.items():
             if full:
                 held, field = field, np.empty((self._end, field.shape[1]), field.dtype)
                 field[: len(held)] = held
                 self.fields[name] = field
-            field[target] = field[source]
-            field[fresh] = 0
+            kernels.shift(field, source, target, fresh)
         if full:
             self._lay_out()
 

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mapping.kernels.hashing import lookup, number_new
+from mapping.kernels.hashing import lookup, number_new, room_for
 from mapping.kernels.packed import has_record, row_of
 
 Array: TypeAlias = NDArray[Any]
@@ -32,7 +32,8 @@ DENSE_PIXELS = 0.5
 @njit(cache=True, inline="always")
 def rounded(amount: Float, u: Int, v: Int) -> Int:
     """A whole number, up or down in turn from pixel to pixel (by Roberts' R₂ sequence), so that sums are right."""
-    return np.int64(amount + (0.7548776662 * u + 0.5698402910 * v) % 1.0)
+    turn = 0.7548776662 * u + 0.5698402910 * v
+    return np.int64(amount + (turn - np.floor(turn)))
 
 
 @njit(cache=True)
@@ -66,13 +67,14 @@ def runs_of_image(
     scale = UNIT * per_voxel * per_voxel / focal
     cells, counts = np.empty(height * width, np.int64), np.empty(height * width, np.int64)
     said, bare = np.empty(height * width, np.uint16), np.empty(height * width, np.int64)
-    found, fresh = np.empty((256, 3), np.int32), np.full((1024, 2), -1, np.int64)
+    found, fresh = np.empty((1024, 3), np.int32), np.full((1024, 2), -1, np.int64)
     n = n_bare = n_found = 0
     bi: Int = 1 << 30
     bj: Int = 1 << 30
     bk: Int = 1 << 30
     slot: Int = np.int64(-1)
     for v in range(height):
+        fresh, found = room_for(fresh, found, n_found, n_blocks, width)
         y_z = (v - camera[3]) / camera[1]
         total = 0.0  # of the run that is going on, which began at `start` in voxel (a, b, c)
         choice: Int = np.int64(0)
@@ -105,7 +107,8 @@ def runs_of_image(
                     bi, bj, bk = a >> 3, b >> 3, c >> 3
                     slot = np.int64(lookup(table, bi, bj, bk))
                     if slot < 0:
-                        slot, fresh, found, n_found = number_new(fresh, found, n_found, n_blocks, bi, bj, bk)
+                        slot = np.int64(number_new(fresh, found, n_found, n_blocks, bi, bj, bk))
+                        n_found += slot == n_blocks + n_found
                 cell = slot << 9 | (a & 7) << 6 | (b & 7) << 3 | (c & 7)
                 cells[n], said[n], counts[n] = cell, choice, count
                 n += 1

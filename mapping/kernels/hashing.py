@@ -72,25 +72,32 @@ def find_or_insert(table: Array, bi: Int, bj: Int, bk: Int, slot: Int) -> Int:
 
 
 @njit(cache=True)
-def number_new(
-    fresh: Array, found: Array, n: Int, first: Int, bi: Int, bj: Int, bk: Int
-) -> tuple[Int, Array, Array, Int]:
-    """The slot of a block that a table does not have, where such blocks are numbered on from `first` as they appear.
-
-    fresh (m, 2) int64, found (·, 3) int32: a table of these blocks, and the blocks; n: how many there are already
-    Returns the slot, and fresh, found and n with this block in them; both arrays are replaced where they are full.
+def room_for(fresh: Array, found: Array, n: Int, first: Int, more: Int) -> tuple[Array, Array]:
+    """`fresh` and `found`, see `number_new`, with room for so many more than the n blocks that they hold; copies where
+    they had none. To be called now and then: what is assigned in a loop over pixels is counted as a reference each time.
     """
-    if 2 * n > len(fresh):
-        fresh = np.full((4 * len(fresh), 2), -1, np.int64)
+    size = len(fresh)
+    while size < 2 * (n + more):
+        size *= 2
+    if size > len(fresh):
+        fresh = np.full((size, 2), -1, np.int64)
         for m in range(n):
             find_or_insert(fresh, found[m, 0], found[m, 1], found[m, 2], first + m)
+        found = np.concatenate((found[:n], np.empty((size - n, 3), found.dtype)))
+    return fresh, found
+
+
+@njit(cache=True)
+def number_new(fresh: Array, found: Array, n: Int, first: Int, bi: Int, bj: Int, bk: Int) -> Int:
+    """The slot of a block that a table does not have, where such blocks are numbered on from `first` as they appear.
+
+    fresh (m, 2) int64, found (m, 3) int32: a table of these blocks, and the blocks; n: how many there are already. Both
+    change in place and must have room, see `room_for`. The block is new where its slot is first + n.
+    """
     slot = find_or_insert(fresh, bi, bj, bk, first + n)
     if slot == first + n:
-        if n == len(found):
-            found = np.concatenate((found, np.empty_like(found)))
         found[n, 0], found[n, 1], found[n, 2] = bi, bj, bk
-        n += 1
-    return slot, fresh, found, n
+    return slot
 
 
 @njit(cache=True)

@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.kernels.evidence import UNIT, give, rounded
-from mapping.kernels.hashing import lookup, number_new
+from mapping.kernels.hashing import lookup, number_new, room_for
 from mapping.kernels.packed import has_record, row_of
 
 Array: TypeAlias = NDArray[Any]
@@ -89,13 +89,14 @@ def trace(
     room = ((height + step - 1) // step) * ((width + step - 1) // step)
     cells, owners, pixels = np.empty(room, np.int64), np.empty(room, np.int32), np.empty(room, np.int64)
     votes, offsets, bare = np.empty(room, np.int64), np.empty((room, 3), np.float32), np.empty(room, np.int64)
-    found, fresh = np.empty((256, 3), np.int32), np.full((1024, 2), -1, np.int64)
+    found, fresh = np.empty((1024, 3), np.int32), np.full((1024, 2), -1, np.int64)
     n_bare = n_found = n = 0
     bi: Int = 1 << 30
     bj: Int = 1 << 30
     bk: Int = 1 << 30
     slot: Int = np.int64(-1)
     for v in range(0, height, step):
+        fresh, found = room_for(fresh, found, n_found, n_blocks, width)
         y = (v - camera[3]) / camera[1]
         bx, by, bz = y * y_x + z_x, y * y_y + z_y, y * y_z + z_z
         at: Int = np.int64(-1)  # cell, owner and sums of the run that is going on
@@ -119,7 +120,8 @@ def trace(
                     bi, bj, bk = i >> 3, j >> 3, k >> 3
                     slot = np.int64(lookup(table, bi, bj, bk))
                 if slot < 0 and owner > 0:
-                    slot, fresh, found, n_found = number_new(fresh, found, n_found, n_blocks, bi, bj, bk)
+                    slot = np.int64(number_new(fresh, found, n_found, n_blocks, bi, bj, bk))
+                    n_found += slot == n_blocks + n_found
                 if slot >= 0:
                     cell = slot << 9 | (i & 7) << 6 | (j & 7) << 3 | (k & 7)
                 weight = 0.0

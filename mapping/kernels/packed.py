@@ -180,6 +180,22 @@ def settle(
 
 
 @njit(cache=True)
+def shift(records: Array, source: Array, target: Array, fresh: Array) -> None:
+    """Move the records (R, k) of the rows `source` (m,) to `target` (m,), together, and empty those of the rows `fresh`
+    (n,), in place."""
+    held = np.empty((source.shape[0], records.shape[1]), records.dtype)
+    for m in range(source.shape[0]):
+        for c in range(records.shape[1]):
+            held[m, c] = records[source[m], c]
+    for m in range(target.shape[0]):
+        for c in range(records.shape[1]):
+            records[target[m], c] = held[m, c]
+    for n in range(fresh.shape[0]):
+        for c in range(records.shape[1]):
+            records[fresh[n], c] = 0
+
+
+@njit(cache=True)
 def lay_out(masks: Array, first: Array, moves: Array) -> Int:
     """Give the blocks (n, 8) segments one behind the other, in place; returns where the last ends.
 

@@ -70,7 +70,7 @@ def accumulate(
     used = 0
     misfit = 0.0
     for n in range(len(points)):
-        px, py, pz = points[n]
+        px, py, pz = points[n, 0], points[n, 1], points[n, 2]
         d = _sample(
             table,
             distance,
@@ -83,7 +83,7 @@ def accumulate(
         )
         if not abs(d) < np.inf:
             continue
-        steep = np.sqrt((gradient**2).sum())
+        steep = np.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
         if steep < 0.4 or steep > 2.5:  # the edge of the band, or two surfaces in one cell
             continue
         d /= steep
