@@ -143,20 +143,18 @@ class SE3:
     @property
     def quaternion_wxyz(self) -> Array:
         """Unit quaternion (4,) with w ≥ 0 (Shepperd's method: divide by the largest component)."""
-        r = self._rotation
-        trace = float(np.trace(r))
-        squares = np.array([trace, *(2.0 * np.diag(r) - trace)])  # 4·q² − 1 of w, x, y, z
-        largest = int(squares.argmax())
-        products = np.array(  # 4·q·qᵀ
-            [
-                [1 + trace, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-                [r[2, 1] - r[1, 2], 1 + squares[1], r[1, 0] + r[0, 1], r[0, 2] + r[2, 0]],
-                [r[0, 2] - r[2, 0], r[1, 0] + r[0, 1], 1 + squares[2], r[2, 1] + r[1, 2]],
-                [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2], 1 + squares[3]],
-            ]
+        (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = self._rotation.tolist()
+        trace = xx + yy + zz
+        squares = (trace, 2.0 * xx - trace, 2.0 * yy - trace, 2.0 * zz - trace)  # 4·q² − 1 of w, x, y, z
+        products = (  # 4·q·qᵀ
+            (1 + trace, zy - yz, xz - zx, yx - xy),
+            (zy - yz, 1 + squares[1], yx + xy, xz + zx),
+            (xz - zx, yx + xy, 1 + squares[2], zy + yz),
+            (yx - xy, xz + zx, zy + yz, 1 + squares[3]),
         )
-        q = products[largest] / np.linalg.norm(products[largest])
-        return np.asarray(q if q[0] >= 0 else -q)
+        q = np.array(products[squares.index(max(squares))])
+        q /= np.sqrt(q @ q)
+        return q if q[0] >= 0 else -q
 
     # -- algebra ------------------------------------------------------------------------------------------
     def inverse(self) -> SE3:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ _SPAN, _HALF = 1 << 20, 1 << 19  # places are numbered within ± 2¹⁹ along ea
 _BESIDE: NDArray[np.int64] = np.array(
     [(i * _SPAN + j) * _SPAN + k for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)], np.int64
 )
+_CENTRE = slice(13, 14)  # where a place itself stands among those beside it
 _TURNED = float(np.cos(np.deg2rad(10.0)))  # a raster turned further than this from where it belongs is made anew
 _NO_SLOTS: dict[int, int] = {}
 
@@ -34,6 +35,13 @@ class _Block:
     counts: dict[int, int]
 
     ARRAYS: ClassVar = ("points", "normals", "slot_of")
+
+
+class Surrounding(NamedTuple):
+    """Places and those beside them: their codes, and the rows (Q, 27) of these that are in or beside each place."""
+
+    codes: list[int]
+    rows: Array
 
 
 class Pieces:
@@ -110,18 +118,24 @@ class Pieces:
         i, j, k = ((block_ijk >> self.place_shift).astype(np.int64) + _HALF).T
         return np.asarray((i * _SPAN + j) * _SPAN + k)
 
-    def nearby(self, codes: NDArray[np.int64]) -> tuple[Array, Array]:
+    @staticmethod
+    def about(codes: NDArray[np.int64]) -> Surrounding:
+        """The places (Q,) and all that lie beside them."""
+        around = codes[:, None] + _BESIDE
+        known, row = np.unique(around, return_inverse=True)
+        return Surrounding(known.tolist(), row.reshape(around.shape))
+
+    def nearby(self, places: Surrounding) -> tuple[Array, Array]:
         """Slots of the pieces in or beside each place (Q,), as rows `first` and `candidates` (see `kernels.match`)."""
-        return self._held_in(codes[:, None] + _BESIDE)
+        return self._gathered(self._held_in(places), places.rows)
 
-    def inside(self, codes: NDArray[np.int64]) -> tuple[Array, Array]:
-        """As `nearby`, but of the pieces in each place only."""
-        return self._held_in(codes[:, None])
+    def inside_and_nearby(self, places: Surrounding) -> tuple[Array, Array, Array, Array]:
+        """As `nearby`, of the pieces in each place only, then of those in or beside it."""
+        held = self._held_in(places)
+        return *self._gathered(held, places.rows[:, _CENTRE]), *self._gathered(held, places.rows)
 
-    def _held_in(self, codes: NDArray[np.int64]) -> tuple[Array, Array]:
-        known, row = np.unique(codes, return_inverse=True)
-        slots = [self._places.get(code, _NO_SLOTS) for code in known.tolist()]
-        return self._gathered(slots, row.reshape(codes.shape))
+    def _held_in(self, places: Surrounding) -> list[dict[int, int]]:
+        return [self._places.get(code, _NO_SLOTS) for code in places.codes]
 
     def nearby_among(self, codes: NDArray[np.int64], slots: Sequence[Collection[int]]) -> tuple[Array, Array]:
         """As `nearby`, where only the places `codes` (Q,), ascending, hold anything: these slots."""
@@ -219,7 +233,7 @@ class Pieces:
         points, normals = [], []
         for k in range(len(keys)) if chosen is None else parts:
             block = self._blocks[keys[k]]
-            rows = np.flatnonzero(block.slot_of == old)
+            rows = (block.slot_of == old).nonzero()[0]
             part = rows if chosen is None else rows[parts[k]]
             block.slot_of[part] = new
             before = block.counts

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from mapping.errors import InvalidParameter, MappingError
 from mapping.kernels import planes as kernels
 from mapping.plane import Plane, PlaneChange, PlaneSummary
-from mapping.plane_pieces import Key, Pieces
+from mapping.plane_pieces import Key, Pieces, Surrounding
 
 __all__ = ["Plane", "PlaneChange", "PlaneMap", "PlaneSummary", "Surface", "extract_planes"]
 
@@ -180,7 +180,8 @@ class PlaneMap:
 
     def ids_near(self, block_ijk: Array) -> list[int]:
         """The planes, ascending, of which samples lie in or next to (0.2 to 0.45 m) one of the blocks (K, 3)."""
-        _, slots = self._pieces.nearby(np.unique(self._pieces.place_codes(block_ijk)))
+        codes = np.unique(self._pieces.place_codes(block_ijk))
+        _, slots = self._pieces.nearby(self._pieces.about(codes))
         return sorted(self._id_of[slot] for slot in set(slots.tolist()) if slot in self._id_of)
 
     def spread(self, plane_id: int, at_most: int) -> Array:
@@ -265,7 +266,8 @@ class PlaneMap:
         place_of = place_of_block[owner]
         place_ijk = (block_ijk >> self._pieces.place_shift)[at]
 
-        near, candidates = self._pieces.nearby(codes)
+        places = self._pieces.about(codes)
+        near, candidates = self._pieces.nearby(places)
         slot_of = np.full(len(points), -1, np.int32)
         self._match(slot_of, points, normals, place_of, near, candidates)
         made = self._seed(slot_of, points, normals, place_of, codes, place_ijk)
@@ -273,7 +275,7 @@ class PlaneMap:
         touched = {*held, *made}
         touched.update(np.unique(slot_of[slot_of >= 0]).tolist())
         self._pieces.refit(touched)
-        merged = self._merge(codes, touched)
+        merged = self._merge(places, touched)
         self._split(touched, held)
         return self._publish(touched, merged)
 
@@ -323,11 +325,10 @@ class PlaneMap:
             self._match(slot_of, points, normals, place_of, *self._pieces.nearby_among(codes, members))
         return made
 
-    def _merge(self, codes: NDArray[np.int64], touched: set[int]) -> dict[int, int]:
+    def _merge(self, places: Surrounding, touched: set[int]) -> dict[int, int]:
         """Join coplanar pieces that touch; returns id → id that it became part of."""
         p = self._pieces
-        first_in, inside = p.inside(codes)
-        first_near, near = p.nearby(codes)
+        first_in, inside, first_near, near = p.inside_and_nearby(places)
         pairs = np.empty((int((np.diff(first_in) * np.diff(first_near)).sum()), 2), np.int64)
         n = kernels.find_coplanar(
             pairs, first_in, inside, first_near, near, p.moments, p.normal, p.offset,

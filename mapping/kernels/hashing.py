@@ -74,7 +74,7 @@ def find_or_insert(table: Array, bi: Int, bj: Int, bk: Int, slot: Int) -> Int:
 @njit(cache=True)
 def room_for(fresh: Array, found: Array, n: Int, first: Int, more: Int) -> tuple[Array, Array]:
     """`fresh` and `found`, see `number_new`, with room for so many more than the n blocks that they hold; copies where
-    they had none. To be called now and then: what is assigned in a loop over pixels is counted as a reference each time.
+    they had none. To be called now and then: an array that is assigned in a loop is counted as a reference each time.
     """
     size = len(fresh)
     while size < 2 * (n + more):

@@ -46,12 +46,12 @@ class GroundIndex:
         """The things whose bounds, seen from above, lie within `reach_m` of the given ones along both axes; sorted."""
         (x0, y0), (x1, y1) = bounds[0][:2].tolist(), bounds[1][:2].tolist()
         x0, y0, x1, y1 = x0 - reach_m, y0 - reach_m, x1 + reach_m, y1 + reach_m
-        found = set()
-        for cell in self._cells(x0, y0, x1, y1):
-            for thing in self._members.get(cell, ()):
-                a, b, c, d = self._bounds[thing]
-                if a <= x1 and b <= y1 and c >= x0 and d >= y0:
-                    found.add(thing)
+        about = set[str]().union(*(self._members.get(cell, ()) for cell in self._cells(x0, y0, x1, y1)))
+        found = []
+        for thing in about:
+            a, b, c, d = self._bounds[thing]
+            if a <= x1 and b <= y1 and c >= x0 and d >= y0:
+                found.append(thing)
         return sorted(found)
 
     def _cells(self, x0: float, y0: float, x1: float, y1: float) -> Iterator[Cell]:

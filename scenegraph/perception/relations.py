@@ -174,10 +174,12 @@ class Relations:
     def _may_rest(self, other: str, thing: str, shapes: Mapping[str, Shape]) -> bool:
         """Whether what `other` rests on, hangs from or is fixed to may have changed with `thing`."""
         mine, theirs = shapes[thing], shapes[other]
+        apart = _ground_gap(mine.bounds, theirs.bounds)
+        if apart > max(BACK_M, tolerance(mine)):
+            return False
         firm = any(
             key[0] == "contact" and key[1] == other and self._facts[key] >= FIRM_SHARE for key in self._keys_of[other]
         )
-        apart = _ground_gap(mine.bounds, theirs.bounds)
         if not firm:
             return apart <= BACK_M  # what is about it was hardly seen: it may have been by now
         return apart <= tolerance(mine) and theirs.lowest >= mine.lowest - 0.1

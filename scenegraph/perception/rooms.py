@@ -232,8 +232,9 @@ class Rooms:
         storey = self.storeys.at(z)
         if storey is None or not len(xy):
             return {}
-        rooms, counts = np.unique(storey.ground.at(xy), return_counts=True)
-        return {f"room_{r}": n / len(xy) for r, n in zip(rooms.tolist(), counts.tolist(), strict=True) if r}
+        counts = np.bincount(storey.ground.at(xy))
+        rooms = counts.nonzero()[0].tolist()
+        return {f"room_{r}": int(counts[r]) / len(xy) for r in rooms if r}
 
     @staticmethod
     def _barrier(storey: Storey, low: Array, shape: tuple[int, ...]) -> Array:
