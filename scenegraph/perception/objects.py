@@ -79,14 +79,17 @@ class Objects:
         """
         changes = GraphChanges()
         reshaped: set[str] = set()
+        told = change.masks is None
         for lost, kept in change.merged.items():
-            told = change.masks is None
             if self._voxels(lost) > (np.inf if told and kept in self._node_of else MUCH_LARGER * self._voxels(kept)):
+                self._may_return(kept, graph, stamp_ns)
                 name = self._disown(lost)
                 self._bury(kept, name, changes, reshaped)
                 self._own(kept, name)  # the node of the main part lives on
                 reshaped.add(name)
             else:
+                if not told:
+                    self._may_return(lost, graph, stamp_ns)
                 self._bury(lost, self._node_of.get(kept), changes, reshaped)
         self._split_from.update(change.split)
         doubted = self._look_for(instances, change, view, stamp_ns)
@@ -140,6 +143,13 @@ class Objects:
         look = self._looks.get(node_id)
         return no_colors() if look is None else look.colors
 
+    def _may_return(self, instance_id: int, graph: SceneGraph, stamp_ns: int) -> None:
+        """What becomes part of another and was not seen itself for long may have gone: the other lies in its place,
+        or is what it lay on."""
+        node_id = self._node_of.get(instance_id, "")
+        if node_id in graph and stamp_ns - graph.node(node_id).last_seen_ns > KNOWN_S * 1e9:
+            self._remember(node_id, graph, stamp_ns)
+
     def _bury(self, lost: int, kept: str | None, changes: GraphChanges, reshaped: set[str]) -> None:
         """The node of an instance is no more: it was another's, or is of another layer now."""
         if lost in self._node_of:
@@ -157,13 +167,17 @@ class Objects:
         if instance_id not in self._node_of:
             return
         node_id = self._disown(instance_id)
-        look = self._looks.get(node_id)
+        self._remember(node_id, graph, stamp_ns)
         self._drop(node_id)
         self.presence.place(node_id, None)
         reshaped.add(node_id)
+        changes.delete_node(node_id, "no longer seen")
+
+    def _remember(self, node_id: str, graph: SceneGraph, stamp_ns: int) -> None:
+        """Keep in mind how a thing looked, in case it comes back."""
+        look = self._looks.get(node_id)
         if node_id in graph and look is not None and graph.node(node_id).layer == "object":
             self.reappearance.leave(graph.node(node_id), look, stamp_ns)
-        changes.delete_node(node_id, "no longer seen")
 
     def _recognise(
         self, instances: InstanceMap, doubted: set[str], graph: SceneGraph, stamp_ns: int, changes: GraphChanges,
@@ -259,6 +273,7 @@ class Objects:
             kept, lost = min(one, two), max(one, two)
             instances.join(kept, lost)
             lost_id = self._node_of[lost]
+            self._may_return(lost, graph, stamp_ns)
             self._bury(lost, self._node_of[kept], changes, reshaped)
             self.presence.place(lost_id, None)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mapping.instances import Instance, InstanceChange
+from mapping.instances import Instance, InstanceChange, Masks
 from scenegraph.errors import InvalidStatement
 from scenegraph.graph import GraphChanges, SceneGraph
 from scenegraph.perception.objects import KNOWN_S, LEAST_VIEWS, Objects
@@ -66,9 +66,16 @@ class Watching:
         self.graph = SceneGraph()
         self.now = 0
 
-    def update(self, *touched: int, merged: dict[int, int] | None = None) -> set[str]:
-        change = InstanceChange(frozenset(touched), merged or {})
-        changes, reshaped = self.objects.update(self.seen, change, self.graph)  # type: ignore[arg-type]
+    def update(
+        self, *touched: int, merged: dict[int, int] | None = None, stamp_ns: int = 0, masks: Masks | None = None
+    ) -> set[str]:
+        change = InstanceChange(frozenset(touched), merged or {}, masks=masks)
+        changes, reshaped = self.objects.update(
+            self.seen,
+            change,
+            self.graph,
+            stamp_ns=stamp_ns,  # type: ignore[arg-type]
+        )
         self.now += 1
         self.graph.commit(changes, self.now)
         return reshaped
@@ -257,6 +264,34 @@ def test_what_was_found_elsewhere_before_its_old_place_was_looked_at_becomes_its
     assert node.position == pytest.approx([2.0, 0.0, 0.1], abs=0.01)
     assert world.graph.tombstone("object_2").became == "object_1"  # type: ignore[union-attr]
     assert world.objects.shapes.keys() == world.objects.labels.keys() == {"object_1", "object_3"}
+
+
+NOTHING_SEEN = Masks(np.zeros((1, 1), np.int32), np.zeros((1, 1), np.uint16), np.zeros(1, np.int64))
+
+
+@pytest.mark.parametrize(
+    ("lost", "kept", "later", "seen", "returns"),
+    [
+        (1, 3, MUCH_LATER, True, True),
+        (3, 1, MUCH_LATER, True, True),  # what came is much larger: it lives on under its own name
+        (1, 3, MUCH_LATER, False, False),  # told by an operator: they are one
+        (1, 3, 20, True, False),  # parts of one thing that were mapped apart
+    ],
+)
+def test_what_another_was_taken_for_long_after_it_was_seen_may_be_elsewhere(
+    world: Watching, lost: int, kept: int, later: int, seen: bool, returns: bool
+) -> None:
+    world.seen.put(3, "cup", np.tile(CUBE, (1 if lost == 1 else 3, 1)), now=later)
+    world.update(3, stamp_ns=later)
+    if lost == 3:
+        world.seen.surface[1] = CUBE
+    del world.seen.instances[lost], world.seen.surface[lost]
+    world.update(merged={lost: kept}, stamp_ns=later, masks=NOTHING_SEEN if seen else None)
+    assert [n.id for n in world.graph.nodes("object")] == ["object_3"]
+    world.seen.put(2, "table", CUBE + ELSEWHERE, now=later + 1)
+    world.update(2, stamp_ns=later + 1)
+    [node] = world.graph.nodes("object", label="table")
+    assert node.id == ("object_1" if returns else "object_2")
 
 
 def test_where_a_thing_is_found_again_it_was_not_looked_for_in_vain(world: Watching) -> None:

@@ -13,8 +13,12 @@ from hypothesis import strategies as st
 from mapping.colors import no_colors
 from scenegraph.graph import Box, Node
 from scenegraph.perception.reappearance import (
+    ELSEWHERE,
+    FAR,
+    FAR_M,
     MOST_REMEMBERED,
     MOST_UNLIKE,
+    SAME_PLACE_M,
     UNSETTLED_S,
     WINDOW_S,
     Absent,
@@ -115,7 +119,8 @@ def test_all_that_came_and_all_that_has_gone_fit_together_as_well_as_can_be(look
         if not settled(alone, new):
             return 0.0
         way = abs(float(new[0].position[0] - old[0].position[0]))
-        return MOST_UNLIKE - float(new[1].unlike([old[1]])[0]) - 3.0 * min(way / 0.3, 1.0) - 2.0 * min(way / 8.0, 1.0)
+        away = ELSEWHERE * min(way / SAME_PLACE_M, 1.0) + FAR * min(way / FAR_M, 1.0)
+        return MOST_UNLIKE - float(new[1].unlike([old[1]])[0]) - away
 
     table = np.array([[gain(new, old) for old in before] for new in came])
     best = max(sum(table[row, column] for row, column in enumerate(order)) for order in permutations(range(len(came))))
@@ -141,6 +146,26 @@ def test_who_came_first_is_not_taken_for_what_another_is_more_like():
 def test_being_unlike_is_symmetric_and_nothing_is_unlike_itself(a, b):
     one, other = look(tuple(a)), look(tuple(b), BLUE)
     assert one.unlike([other, one]) == pytest.approx([float(other.unlike([one])[0]), 0.0], abs=1e-4)
+
+
+@given(
+    st.lists(st.floats(0.1, 2.0), min_size=3, max_size=3),
+    st.integers(0, 2),
+    *[st.floats(1.0, 4.0)] * 2,
+    *[st.floats(0.0, 0.5)] * 2,
+)
+def test_being_unlike_grows_with_each_edge_and_with_the_share_of_other_colors(size, edge, by, more, mixed, mix):
+    """By as much whichever edge it is, and whatever else is different."""
+    size = sorted(size, reverse=True)
+    one = look(tuple(size))
+    size[2] /= by
+    less, most = look(tuple(size), mixed=mixed), look((size[0], size[1], size[2] / more), mixed=mixed + mix)
+    a, b = one.unlike([less, most])
+    assert b >= a - 1e-4
+    other = [1.0, 1.0, 1.0]
+    other[edge] = 4.0
+    cube = look((1.0, 1.0, 1.0))
+    assert cube.unlike([look(tuple(other))]) == pytest.approx(cube.unlike([look((1.0, 1.0, 0.25))]))
 
 
 def test_no_more_is_remembered_than_said():
