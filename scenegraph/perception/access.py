@@ -22,6 +22,7 @@ from mapping.observations import RobotDescription
 from mapping.occupancy import FREE, OccupancyMap
 from scenegraph.graph import Node, SceneGraph
 from scenegraph.perception.building import Building
+from scenegraph.perception.free_places import FLOOR_BAND_M
 from scenegraph.perception.relations import NO_PATH_M, MeasurementChange
 from scenegraph.perception.shapes import Shape
 
@@ -35,11 +36,12 @@ EYE_M = 1.2
 """Height of the eyes of a robot that did not say how tall it is, and of whoever stands at a place."""
 REACH_M = 0.8
 """How far a robot reaches that did not say so."""
-CELL_M = 0.1
-WINDOW_M = 10.0
-"""Ways are looked for within this distance of the robot, along both axes."""
-OVER_M = 0.08
-"""What is lower than this is driven over."""
+CELL_M = 0.05
+"""Ways are looked for on ground cells of this width, or as wide as a voxel."""
+FREE_SHARE = 0.5
+"""Ground is known to be free when this share of the space over it was seen to be."""
+WINDOW_M = 15.0
+"""Ways are looked for within this distance of the robot, along both axes; whether one leads farther is not known."""
 DOORWAY_DEEP_M = 0.35
 """What stands no farther than this before or behind the middle of a door stands in it."""
 ALONG_WALL_M = 0.6
@@ -104,7 +106,11 @@ class Access:
 
     # -- sight --------------------------------------------------------------------------------------------
     def _sight(self, viewer: Node) -> dict[tuple[str, ...], float]:
-        """Shares of rays from the viewer's eyes to points of a thing that meet the thing first: surely, and perhaps."""
+        """Shares of rays from the viewer's eyes to points of a thing that meet the thing first: surely, and perhaps.
+
+        A voxel stands up to its width beyond the surface in it and would hide what lies flat behind, so rays pass that
+        much above the points, or below those over the eyes (Holbert, *Normal offset shadows*, 2011).
+        """
         eye = viewer.position.copy()
         if viewer.layer != "object":
             eye[2] += self._body(viewer).height_m if viewer.layer == "agent" else EYE_M
@@ -116,16 +122,17 @@ class Access:
         ]
         if not near:
             return found
+        slack = self._occupancy.voxel_size_m
         targets = [shape.points[_spread(len(shape.points), SIGHT_RAYS)].astype(np.float64) for _, shape in near]
+        for points in targets:
+            points[:, 2] += slack * np.sign(eye[2] - points[:, 2])
         rays = np.concatenate(targets) - eye
         hits = self._occupancy.cast(eye, rays, 2.0 * SIGHT_M)
-        slack = self._occupancy.voxel_size_m
         at = 0
         for (name, shape), points in zip(near, targets, strict=True):
             mine = slice(at, at + len(points))
             at += len(points)
-            low, high = shape.bounds
-            met = ((hits.points[mine] >= low - 1.5 * slack) & (hits.points[mine] <= high + 1.5 * slack)).all(axis=1)
+            met = shape.box.contains(hits.points[mine], 1.5 * slack)
             arrives = np.linalg.norm(points - eye, axis=1)
             met |= hits.distance_m[mine] >= arrives - slack
             known = hits.unknown_at_m[mine] >= np.minimum(hits.distance_m[mine], arrives) - 1.5 * slack
@@ -136,67 +143,77 @@ class Access:
     # -- ways ---------------------------------------------------------------------------------------------
     def _ways(self, agent: Node) -> dict[tuple[str, ...], float]:
         """Length of the shortest way of a robot's disc to where it reaches each thing: over ground that was seen to be
-        free, and over ground that may be; NO_PATH_M where there is none."""
+        free, and over ground that may be, where voxels are filled half; NO_PATH_M where there is none."""
         body = self._body(agent)
         start = agent.position[:2]
-        origin = np.floor((start - WINDOW_M) / CELL_M).astype(np.int64)
-        shape = (round(2 * WINDOW_M / CELL_M),) * 2
-        x, y, z = agent.position.tolist()
-        floor = self._building.floor_below(x, y, z)
-        floor_z = z if floor is None else floor[1]
-        cells = (np.indices(shape).reshape(2, -1).T + origin + 0.5) * CELL_M
-        surely, perhaps = self._passable(origin, shape, floor_z, body.height_m)
+        floor = self._building.floor_below(*agent.position.tolist())
+        floor_z = float(agent.position[2]) if floor is None else floor[1]
+        reach = body.radius_m + body.reach_m
         found: dict[tuple[str, ...], float] = {}
-        lengths = {name: self._lengths(ground, start, origin, body) for name, ground in
-                   (("way_upper", surely), ("way_lower", perhaps))}  # fmt: skip
-        for thing, its in self._shapes.items():
-            low, high = its.bounds
-            if (
-                (high[:2] < cells[0]) | (low[:2] > cells[-1])
-            ).any() or not floor_z - 0.5 <= its.lowest <= floor_z + 2.5:
+        about: dict[str, Shape] = {}
+        for thing, shape in self._shapes.items():
+            if not floor_z - 0.5 <= shape.lowest <= floor_z + 2.5:
                 continue
-            reach = body.radius_m + body.reach_m
-            window = ((cells >= low[:2] - reach) & (cells <= high[:2] + reach)).all(axis=1)
-            away = shapely.distance(shapely.points(cells[window]), shapely.MultiPoint(its.hull).convex_hull)
+            away = np.maximum(np.maximum(shape.bounds[0][:2] - start, start - shape.bounds[1][:2]), 0.0)
+            if (away <= WINDOW_M).all():
+                about[thing] = shape
+            else:
+                found["way_upper", thing, agent.id] = NO_PATH_M
+                found["way_lower", thing, agent.id] = max(0.0, float(np.hypot(*away)) - reach)
+        corners = np.array([start, *(bound[:2] for shape in about.values() for bound in shape.bounds)])
+        low = np.maximum(corners.min(axis=0) - 2.0 * reach, start - WINDOW_M)
+        high = np.minimum(corners.max(axis=0) + 2.0 * reach, start + WINDOW_M)
+        surely, perhaps, origin, cell_m = self._passable(low, high, floor_z, body.height_m)
+        xs, ys = ((first + 0.5 + np.arange(n)) * cell_m for first, n in zip(origin, surely.shape, strict=True))
+        at = np.floor(start / cell_m).astype(np.int64) - origin
+        lengths = {
+            name: _lengths(ground, at, max(0.0, radius) / cell_m) * cell_m
+            for name, ground, radius in (
+                ("way_upper", surely, body.radius_m),
+                ("way_lower", perhaps, body.radius_m - self._occupancy.voxel_size_m),
+            )
+        }
+        for thing, shape in about.items():
+            near = tuple(
+                slice(*np.searchsorted(axis, (shape.bounds[0][k] - reach, shape.bounds[1][k] + reach)))
+                for k, axis in enumerate((xs, ys))
+            )
+            there = np.argwhere(np.isfinite(lengths["way_lower"][near]))
+            cells = np.column_stack([xs[near[0]][there[:, 0]], ys[near[1]][there[:, 1]]])
+            hand = self._in_reach(shape, cells, reach)
+            there = there[hand]
             for name, length in lengths.items():
-                least = length.ravel()[window][away <= reach].min(initial=NO_PATH_M)
+                least = length[near][there[:, 0], there[:, 1]].min(initial=NO_PATH_M)
                 found[name, thing, agent.id] = float(min(least, NO_PATH_M))
         return found
 
-    def _passable(self, origin: Array, shape: tuple[int, int], floor_z: float, height_m: float) -> tuple[Array, Array]:
-        """(W, H) bool: where nothing stands up to a height, half of it seen at least; and where nothing is known to."""
-        low = np.array([*(origin * CELL_M), floor_z + OVER_M])
-        codes, first = self._occupancy.box(low, low + np.array([*(np.array(shape) * CELL_M), height_m - OVER_M]))
-        filled = np.asarray((codes > FREE).any(axis=2))
-        seen = np.asarray((codes == FREE).sum(axis=2) >= 0.5 * codes.shape[2])
-        centres = (np.indices(shape).reshape(2, -1).T + origin + 0.5) * CELL_M
-        ij = np.floor(centres / self._occupancy.voxel_size_m).astype(np.int64) - first[:2]
-        ij = np.clip(ij, 0, np.array(filled.shape) - 1)
-        clear = ~filled[ij[:, 0], ij[:, 1]]
-        return (clear & seen[ij[:, 0], ij[:, 1]]).reshape(shape), clear.reshape(shape)
+    def _in_reach(self, shape: Shape, cells: Array, reach: float) -> Array:
+        """(N,) bool: from which ground points (N, 2) a thing is no farther than `reach`, and not behind a wall."""
+        hull = shapely.MultiPoint(shape.hull).convex_hull
+        shapely.prepare(hull)
+        points = shapely.points(cells)
+        found = shapely.dwithin(points, hull, reach)
+        if found.any():
+            ends = shapely.get_coordinates(shapely.shortest_line(points[found], hull)).reshape(-1, 2, 2)
+            ends = np.concatenate([ends, np.full((len(ends), 2, 1), 0.5 * (shape.lowest + shape.highest))], axis=2)
+            found[found] = ~self._building.walled(ends[:, 0], ends[:, 1])
+        return np.asarray(found)
 
-    @staticmethod
-    def _lengths(passable: Array, start: Array, origin: Array, body: Body) -> Array:
-        """(W, H) shortest way [m] from where the robot stands to each cell that its disc fits in; inf elsewhere."""
-        room = ndimage.distance_transform_edt(np.pad(passable, 1))[1:-1, 1:-1] * CELL_M
-        cell = np.floor(start / CELL_M).astype(np.int64) - origin
-        beside = np.hypot(*(np.indices(room.shape) - cell[:, None, None])) * CELL_M
-        fits = (room > body.radius_m) | (beside <= 2.0 * body.radius_m)  # it fits where it stands
-        number = np.full(fits.shape, -1)
-        number[fits] = np.arange(fits.sum())
-        rows, columns, costs = [], [], []
-        for i, j in ((1, 0), (0, 1), (1, 1), (1, -1)):
-            a = number[: len(number) - i, max(0, -j) : number.shape[1] - max(0, j)]
-            b = number[i:, max(0, j) : number.shape[1] - max(0, -j)]
-            both = (a >= 0) & (b >= 0)
-            rows.append(a[both])
-            columns.append(b[both])
-            costs.append(np.full(int(both.sum()), CELL_M * np.hypot(i, j)))
-        n = int(fits.sum())
-        steps = coo_array((np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n))
-        lengths = np.full(fits.shape, np.inf)
-        lengths[fits] = dijkstra(steps.tocsr(), directed=False, indices=int(number[tuple(cell)]))
-        return lengths
+    def _passable(self, low: Array, high: Array, floor_z: float, height_m: float) -> tuple[Array, Array, Array, float]:
+        """Over the ground from corner `low` to `high` (2,): (W, H) bool where nothing stands up to a height, half of it
+        seen at least; where nothing is known to; the first cell (2,), and how wide a cell is [m]."""
+        voxel = self._occupancy.voxel_size_m
+        wide = max(1, int(CELL_M / voxel + 1e-6))
+        origin = np.floor(low / (wide * voxel)).astype(np.int64)
+        shape = np.floor(high / (wide * voxel)).astype(np.int64) - origin + 1
+        box = np.array([[*(origin * wide * voxel), floor_z], [*((origin + shape) * wide * voxel), floor_z + height_m]])
+        codes, first = self._occupancy.box(*box)
+        over = (first[2] + 0.5 + np.arange(codes.shape[2])) * voxel - floor_z
+        codes = codes[: shape[0] * wide, : shape[1] * wide, (over > FLOOR_BAND_M[1]) & (over < height_m)]
+        codes = codes.reshape(shape[0], wide, shape[1], wide, -1)
+        clear = np.asarray(~(codes > FREE).any(axis=(1, 3, 4)))
+        seen = (codes == FREE).mean(axis=(1, 3, 4)) >= FREE_SHARE
+        return np.asarray(clear & seen), clear, origin, wide * voxel
 
     # -- doors --------------------------------------------------------------------------------------------
     def _blocked(self, door: Node) -> dict[tuple[str, ...], float]:
@@ -215,7 +232,7 @@ class Access:
             if thing == door.id or self._graph.node(thing).layer != "object" or len(shape.hull) < 3:
                 continue
             floor = self._building.floor_below(*door.position.tolist())
-            if floor is None or not floor[1] + OVER_M < shape.highest or shape.lowest > floor[1] + EYE_M:
+            if floor is None or not floor[1] + FLOOR_BAND_M[1] < shape.highest or shape.lowest > floor[1] + EYE_M:
                 continue
             inside = shapely.Polygon(shape.hull).intersection(doorway)
             if inside.is_empty or not inside.area:
@@ -235,6 +252,32 @@ class Access:
             yaw = self._shapes[door.id].rectangle[4]
             return np.array([np.cos(yaw), np.sin(yaw)])
         return None
+
+
+def _lengths(passable: Array, start: Array, radius: float) -> Array:
+    """(W, H) shortest way from cell `start` to each cell that a disc fits in, in cells; inf elsewhere.
+
+    Where the disc stands it fits, whatever the map says, and it gets from there to where it fits a radius away.
+    """
+    room = ndimage.distance_transform_edt(np.pad(passable, 1))[1:-1, 1:-1]
+    beside = np.hypot(*(np.indices(room.shape) - start[:, None, None]))
+    there = beside == 0.0
+    fits = (room > radius) | there | (passable & (beside <= radius))
+    number = np.full(fits.shape, -1)
+    number[fits] = np.arange(fits.sum())
+    rows, columns, costs = [], [], []
+    for i, j in ((1, 0), (0, 1), (1, 1), (1, -1)):
+        a = number[: len(number) - i, max(0, -j) : number.shape[1] - max(0, j)]
+        b = number[i:, max(0, j) : number.shape[1] - max(0, -j)]
+        both = (a >= 0) & (b >= 0)
+        rows.append(a[both])
+        columns.append(b[both])
+        costs.append(np.full(int(both.sum()), np.hypot(i, j)))
+    n = int(fits.sum())
+    steps = coo_array((np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n))
+    lengths = np.full(fits.shape, np.inf)
+    lengths[fits] = dijkstra(steps.tocsr(), directed=False, indices=int(number[tuple(start)]))
+    return np.asarray(np.where((room > radius) | there, lengths, np.inf))
 
 
 def asks_for(goal: str) -> bool:

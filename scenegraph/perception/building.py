@@ -160,6 +160,22 @@ class Building:
         step = np.array([*normal, 0.0]) * self._occupancy.voxel_size_m
         return bool((self._occupancy.classify(np.stack([at - step, at, at + step])) == FREE).all())
 
+    def walled(self, p: Array, q: Array) -> Array:
+        """(N,) bool: whether a wall, wherever it was not seen to be open, stands between points (N, 3) and (N, 3)."""
+        ends = np.concatenate([p, q])
+        found = np.zeros(len(p), bool)
+        for wall in self.walls_beside(ends.min(axis=0), ends.max(axis=0)):
+            dp, dq = p[:, :2] @ wall.normal - wall.offset, q[:, :2] @ wall.normal - wall.offset
+            across = np.flatnonzero((dp * dq < 0.0) & ~found)
+            at = p[across] + (dp / np.where(dp == dq, 1.0, dp - dq))[across, None] * (q - p)[across]
+            along = at[:, :2] @ wall.along
+            inside = (along >= wall.start) & (along <= wall.end)
+            across, at = across[inside], at[inside]
+            step = np.array([*wall.normal, 0.0]) * self._occupancy.voxel_size_m
+            free = self._occupancy.classify(np.concatenate([at - step, at, at + step])) == FREE
+            found[across] = ~free.reshape(3, -1).all(axis=0)
+        return found
+
     def way_around(self, p: Array, q: Array, limit_m: float) -> tuple[float, float]:
         """Shortest way from p to q around walls, through observed space only and with unknown passable [m]; inf if
         longer.

@@ -5,9 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mapping.observations import RobotDescription
+from mapping.occupancy import OccupancyMap
+from scenegraph.graph import Edge, GraphChanges, Node, SceneGraph
+from scenegraph.perception.access import Access
 from scenegraph.world import World
+from tests.support.furnishing import Plan, box, thing
 from tests.support.small_home import BEDROOM, id_of, robot_at, stamp
 
 Copy = Callable[[], World]
@@ -59,3 +66,43 @@ def test_nothing_blocks_a_door_that_is_clear(copy_home: Copy) -> None:
     world = copy_home()
     world.integrate(robot(radius_m=0.2))
     assert world.ask("blocks(X, D)").truth == "false"
+
+
+def test_nothing_is_reached_through_a_wall(copy_home: Copy) -> None:
+    """Oven and bed stand back to back; the door is too narrow for this robot, and the bed within its arm's reach."""
+    world = copy_home()
+    world.integrate(robot(radius_m=0.55, reach_m=2.0))
+    assert world.ask("reachable(oven, agent_rob)").truth == "true"
+    assert world.ask("reachable(bed, agent_rob)").truth != "true"
+
+
+def test_what_is_too_far_to_look_for_a_way_is_not_known_to_be_out_of_reach(copy_home: Copy) -> None:
+    world = copy_home()
+    world.integrate(robot_at(60.0, 40.0, stamp(500)))
+    assert world.ask(f"reachable({id_of(world, 'table')}, agent_rob)").truth == "unknown"
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    width=st.floats(0.6, 2.0), aside=st.floats(-1.5, 1.5), wide=st.floats(0.1, 0.8),
+    before=st.sampled_from([0.0, 0.2, 1.0]), over=st.sampled_from([0.0, 1.5]),
+)  # fmt: skip
+def test_what_stands_in_a_door_leaves_the_wider_part_beside_it(
+    width: float, aside: float, wide: float, before: float, over: float
+) -> None:
+    graph, changes = SceneGraph(), GraphChanges()
+    times = {"first_seen_ns": 0, "last_seen_ns": 0}
+    for name, layer in (("door", "structure"), ("room_1", "room"), ("crate_1", "object")):
+        changes.put(Node(id=name, layer=layer, label=name, position=(0.0, 0.0, 1.0), **times))
+    changes.put(Edge(relation="connects", source="door", target="room_1", value=width, **times))
+    graph.commit(changes, 0)
+    shapes = {"crate_1": thing(box((wide, 0.2, 0.4)), at=(aside, before, over))}
+    walls = Plan(walls=[(-3.0, 0.0, 3.0, 0.0)])
+    access = Access(graph, shapes, OccupancyMap(), walls, {}, 0.25)  # type: ignore[arg-type]
+    found = access.measure("blocks(X, door)").put
+    left, right = max(aside - wide / 2, -width / 2), min(aside + wide / 2, width / 2)
+    if before > 0.5 or over > 1.2 or right < left - 0.01:
+        assert not found
+    elif right > left + 0.01:
+        clear = max(left + width / 2, width / 2 - right)
+        assert found["clear_width", "crate_1", "door"] == pytest.approx(clear, abs=0.01)
