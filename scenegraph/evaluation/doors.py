@@ -18,10 +18,12 @@ DOOR_M = 0.5
 door ajar stands beside the way."""
 
 
-def judge_doors(world: World, home: Home, rooms: dict[str, str], result: Evaluation) -> None:
+def judge_doors(world: World, home: Home, rooms: dict[str, str], result: Evaluation) -> dict[str, str]:
     """Match nodes that connect two rooms to the doors, doorways and openings between those rooms, one to one.
 
     rooms : room node id → true id; a node that connects a room that was not matched counts as wrong
+
+    Returns node id → true id of the doors that were found.
     """
     joined: dict[str, set[str]] = {}
     at: dict[str, Any] = {}
@@ -40,3 +42,5 @@ def judge_doors(world: World, home: Home, rooms: dict[str, str], result: Evaluat
     result.notes += [f"{home.seed}: missed {d.kind} {d.id} of {d.rooms}" for c, d in enumerate(true) if c not in found]
     wrong = [by for r, by in enumerate(said) if r not in good]
     result.notes += [f"{home.seed}: {by} is no way between {' and '.join(sorted(said[by]))}" for by in wrong]
+    names = list(said)
+    return {names[r]: true[c].id for r, c in pairs}

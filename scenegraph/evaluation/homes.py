@@ -13,6 +13,7 @@ import numba
 
 from mapping.observations import RgbdImage
 from scenegraph.config import WorldConfig
+from scenegraph.evaluation.access import judge_access
 from scenegraph.evaluation.doors import judge_doors
 from scenegraph.evaluation.graph import judge_objects, judge_planes, judge_rooms
 from scenegraph.evaluation.relations import judge_relations
@@ -115,8 +116,9 @@ def judge(
     result.uncounted += [f"{home.seed}: {o.id}" for o in home.objects if o.id not in countable]
     things = judge_objects(world, home, countable, result, confused=recorder.confused)
     rooms = judge_rooms(world, home, result)
-    judge_doors(world, home, rooms, result)
+    doors = judge_doors(world, home, rooms, result)
     judge_relations(world, home, things | rooms, countable, result)
+    judge_access(world, home, things, doors, result)
     judge_planes(world, home, recorder, result)
     result.notes += judge_voxels(world, home, recorder, result.semantics, views)
     return things

@@ -113,7 +113,7 @@ def _body(thing: TrueObject) -> Body:
     scene = RayScene(thing.vertices, thing.triangles)
     c, s = np.cos(thing.yaw), np.sin(thing.yaw)
     axes = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    samples = _spread(thing)
+    samples = spread(thing)
     lower, upper = thing.vertices.min(axis=0), thing.vertices.max(axis=0)
     columns = _columns(thing.center, thing.size[:2] / 2, axes, 700)
     up = np.array([0.0, 0.0, 1.0])
@@ -133,7 +133,7 @@ def _columns(center: Array, half: Array, axes: Array, count: int) -> Array:
     return np.asarray(center[:2] + gu.reshape(-1, 1) * axes[0, :2] + gv.reshape(-1, 1) * axes[1, :2])
 
 
-def _spread(thing: TrueObject) -> Array:
+def spread(thing: TrueObject) -> Array:
     """Points on the surface, by area, and the vertices: the same for the same mesh wherever it stands."""
     corners = thing.vertices[thing.triangles]
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
