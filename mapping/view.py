@@ -82,6 +82,7 @@ class DepthView:
         self._pyramid = np.empty(cells, np.float32)
         self.farthest_m = float(visibility.build_pyramid(self.reach, self._pyramid))
         """The largest depth z of which the image says anything [m]."""
+        self._blocks: dict[tuple[float, float, float, bool, bool], tuple[NDArray[np.int32], NDArray[np.uint8]]] = {}
 
     def blocks(
         self, block_size_m: float, *, front_m: float, back_m: float, with_free: bool, gaps_are_free: bool = False
@@ -92,6 +93,14 @@ class DepthView:
         gaps_are_free   : whether whatever is near no surface and before some counts as free, even where it is covered
                           in part by pixels that say nothing; for layers that look at surfaces only
         """
+        asked = (block_size_m, front_m, back_m, with_free, gaps_are_free)
+        if asked not in self._blocks:  # layers with blocks of one size ask for the same
+            self._blocks[asked] = self._listed(*asked)
+        return self._blocks[asked]
+
+    def _listed(
+        self, block_size_m: float, front_m: float, back_m: float, with_free: bool, gaps_are_free: bool
+    ) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
         roots, level = self._roots(block_size_m, back_m)
         n = 1 << 14
         while True:
@@ -101,7 +110,7 @@ class DepthView:
                 blocks, kinds,
             )  # fmt: skip
             if count <= n:
-                return blocks[:count], kinds[:count]
+                return read_only(blocks[:count]), read_only(kinds[:count])
             n = count
 
     def mark_free(self, blocks: NDArray[np.int32], voxel_size_m: float, marks: NDArray[np.uint8]) -> None:

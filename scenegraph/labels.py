@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.errors import InvalidObservation
+from mapping.grid import read_only
+from mapping.kernels.images import translate
 from mapping.observations import ClassInfo, LabelSpace
 
 Array: TypeAlias = NDArray[Any]
@@ -47,8 +49,8 @@ class Labels:
                 f"labels: no label space is known for {robot}/{sensor}",
                 hint="publish a LabelSpace before labelled data",
             )
-        translated = table[labels]
-        if np.count_nonzero(translated) != np.count_nonzero(labels):
+        translated = np.empty(labels.shape, np.uint16)
+        if translate(read_only(np.ascontiguousarray(labels).ravel()), table, translated.ravel()):
             unknown = (translated == 0) & (labels != 0)
             raise InvalidObservation(
                 f"labels: class id {int(labels[unknown][0])} is not in the label space of {robot}/{sensor}",

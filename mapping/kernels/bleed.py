@@ -27,19 +27,29 @@ def find_borders(mask: Array) -> Array:
     found = np.empty(4 * height * width, np.int32)
     n = 0
     for v in range(height):
+        row, above = mask[v], mask[max(v - 1, 0)]
+        left = row[0]
         for u in range(width):
-            m, pixel = mask[v, u], v * width + u
-            for way in (0, 2):
-                a, b = (v - 1, u) if way == 0 else (v, u - 1)
-                if a < 0 or b < 0 or mask[a, b] == m:
-                    continue
-                if mask[a, b] > 0:
-                    found[n] = 4 * pixel + way
-                    n += 1
-                if m > 0:
-                    found[n] = 4 * (a * width + b) + way + 1
-                    n += 1
+            m = row[u]
+            if above[u] != m:
+                n = _enter_border(m, above[u], v * width + u, (v - 1) * width + u, 0, found, n)
+            if left != m:
+                n = _enter_border(m, left, v * width + u, v * width + u - 1, 2, found, n)
+            left = m
     return found[:n].copy()
+
+
+@njit(cache=True, inline="always")
+def _enter_border(m: int, beside: int, pixel: int, pixel_beside: int, way: int, found: Array, n: int) -> int:
+    """Enter where mask m at a pixel and the other beside it end into `found`, see `find_borders`, of which n are in use,
+    in place; returns how many are then."""
+    if beside > 0:
+        found[n] = 4 * pixel + way
+        n += 1
+    if m > 0:
+        found[n] = 4 * pixel_beside + way + 1
+        n += 1
+    return n
 
 
 @njit(cache=True, inline="always")

@@ -26,6 +26,17 @@ FOOTPRINT = 1.25
 less aslant."""
 
 
+@njit(cache=True)
+def translate(labels: Array, table: Array, translated: Array) -> Int:
+    """Name labels (n,) by a table: fills translated (n,). Returns how many labels other than 0 it calls 0."""
+    unknown: Int = 0
+    for n in range(labels.shape[0]):
+        name = table[labels[n]]
+        translated[n] = name
+        unknown += np.int64((name == 0) & (labels[n] != 0))
+    return unknown
+
+
 @njit(cache=True, error_model="numpy")
 def lift_depth(depth: Array, camera: Array, points: Array) -> Int:
     """The point (x, y, z) [m, optical frame] of each pixel of depth (H, W) float32 [m] that measured something, row by

@@ -46,7 +46,10 @@ class GroundIndex:
         """The things whose bounds, seen from above, lie within `reach_m` of the given ones along both axes; sorted."""
         (x0, y0), (x1, y1) = bounds[0][:2].tolist(), bounds[1][:2].tolist()
         x0, y0, x1, y1 = x0 - reach_m, y0 - reach_m, x1 + reach_m, y1 + reach_m
-        about = set[str]().union(*(self._members.get(cell, ()) for cell in self._cells(x0, y0, x1, y1)))
+        about = set[str]()
+        for cell in self._cells(x0, y0, x1, y1):
+            if cell in self._members:
+                about |= self._members[cell]
         found = []
         for thing in about:
             a, b, c, d = self._bounds[thing]
