@@ -66,17 +66,20 @@ def mark_free(blocks: Array, voxel_size: Float, reach: Array, camera: Array, mar
 @njit(cache=True, inline="always")
 def list_row(reach: Array, row_i: Array, row_j: Array, row_k: Array, voxels: Array, count: Int) -> Int:
     """Add the voxels of one row of pixels to `voxels` (n, 3), of which `count` are in use, in place; returns how many
-    are then. Pixels (w,) that met nothing (reach ≤ 0) have none, neighbours that share a voxel give it once."""
-    last = -1
+    are then. Pixels (w,) that met nothing (reach ≤ 0) have none, neighbours that share a voxel give it once.
+
+    No branches: which pixels come to a new voxel cannot be foretold.
+    """
+    fresh = np.empty(reach.shape[0], np.bool_)
+    fresh[0] = reach[0] > np.float32(0.0)
+    for u in range(1, reach.shape[0]):
+        other = ((row_i[u] ^ row_i[u - 1]) | (row_j[u] ^ row_j[u - 1]) | (row_k[u] ^ row_k[u - 1])) != 0
+        fresh[u] = (reach[u] > np.float32(0.0)) & (other | (not reach[u - 1] > np.float32(0.0)))
     for u in range(reach.shape[0]):
-        if reach[u] > np.float32(0.0):
-            if last >= 0 and row_i[u] == row_i[last] and row_j[u] == row_j[last] and row_k[u] == row_k[last]:
-                continue
-            voxels[count, 0] = row_i[u]
-            voxels[count, 1] = row_j[u]
-            voxels[count, 2] = row_k[u]
-            count += 1
-            last = u
+        voxels[count, 0] = row_i[u]
+        voxels[count, 1] = row_j[u]
+        voxels[count, 2] = row_k[u]
+        count += np.int64(fresh[u])
     return count
 
 
