@@ -41,8 +41,8 @@ def find_borders(mask: Array) -> Array:
 
 @njit(cache=True, inline="always")
 def _enter_border(m: int, beside: int, pixel: int, pixel_beside: int, way: int, found: Array, n: int) -> int:
-    """Enter where mask m at a pixel and the other beside it end into `found`, see `find_borders`, of which n are in use,
-    in place; returns how many are then."""
+    """Enter where mask m at a pixel and the other beside it end into `found`, in place, of which n are in use; see
+    `find_borders`. Returns how many are then."""
     if beside > 0:
         found[n] = 4 * pixel + way
         n += 1
