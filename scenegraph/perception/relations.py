@@ -35,7 +35,7 @@ from scenegraph.perception.contacts import (
     some,
     tolerance,
 )
-from scenegraph.perception.footprints import DEEPEST_M, completed, house_of
+from scenegraph.perception.footprints import DEEPEST_M, HOUSED_SHARE, SQUARE, completed, house_of
 from scenegraph.perception.lines import Lines
 from scenegraph.perception.neighbours import GroundIndex
 from scenegraph.perception.shapes import Shape
@@ -326,7 +326,7 @@ class Relations:
         over, under = shapes[a], shapes[b]
         if over.highest <= under.lowest:
             return
-        rise, p, q = _rise(over, under, around.seen_free)
+        rise, p, q = _rise(over, under, lambda top: self._reaches(a, b, top, shapes, labels), around.seen_free)
         fresh["rise", a, b] = rise
         if rise > CONTACT_MARGIN_M:
             fresh["structure_between", a, b] = float(around.between(p, q) == "blocked")
@@ -337,6 +337,20 @@ class Relations:
         if footing_inside > 0.0:
             fresh["footing_inside", a, b] = footing_inside
             fresh["voxels_inside", a, b] = voxels_inside
+
+    def _reaches(self, a: str, b: str, top: float, shapes: Mapping[str, Shape], labels: Mapping[str, str]) -> float:
+        """Height [m] down to which a may reach over the surface of b at height `top`: in a vessel that stands on b the
+        sides hide where a ends, and it is taken to be about as tall as broad, no lower than the vessel."""
+        over = shapes[a]
+        lowest = over.lowest
+        tall = min(lowest, over.highest - SQUARE * float(over.box.size[0]))
+        for vessel in self._index.within(over.bounds, 0.0):
+            sides = shapes[vessel]
+            if vessel in (a, b) or not top - tolerance(sides) <= sides.lowest < lowest < sides.highest:
+                continue
+            if _inside(over, sides, self._is_container(labels[vessel]))[0] >= HOUSED_SHARE:
+                lowest = min(lowest, max(tall, sides.lowest))
+        return lowest
 
     # -- contact ------------------------------------------------------------------------------------------
     def _contacts(self, thing: str, shapes: Mapping[str, Shape], around: Surroundings) -> dict[tuple[str, ...], float]:
@@ -378,10 +392,13 @@ def _share(other: str, tops: Mapping[str, float], sides: Mapping[str, Side]) -> 
     return max(tops.get(other, 0.0), sides[other].share if other in sides else 0.0)
 
 
-def _rise(over: Shape, under: Shape, seen_free: Callable[[Array], Array]) -> tuple[float, Array, Array]:
+def _rise(
+    over: Shape, under: Shape, reaches: Callable[[float], float], seen_free: Callable[[Array], Array]
+) -> tuple[float, Array, Array]:
     """Median over the common columns of (bottom of `over` − top of `under`), and a point on each side of the gap.
 
-    Of many columns only the top was seen: they go down to where space was seen to be free, or to the lowest point.
+    Of many columns only the top was seen: they go down to where space was seen to be free, or to the height that
+    `over` reaches above a surface at a height.
     """
     inside = kernels.points_inside(under.hull, over.bottoms[:, :2].astype(np.float64), 0.0)
     bottoms = some(over.bottoms[inside] if inside.any() else over.bottoms, MOST_COLUMNS).astype(np.float64)
@@ -389,7 +406,7 @@ def _rise(over: Shape, under: Shape, seen_free: Callable[[Array], Array]) -> tup
     tops = under.tops[common] if common.any() else under.tops
     top, middle = kernels.median(tops[:, 2]), bottoms[:, :2].mean(axis=0)
     if kernels.median(bottoms[:, 2]) - top > CONTACT_MARGIN_M:
-        bottoms[:, 2] = _completed(bottoms, over.lowest, over.voxel_size_m, seen_free)
+        bottoms[:, 2] = _completed(bottoms, reaches(top), over.voxel_size_m, seen_free)
     bottom = kernels.median(bottoms[:, 2])
     return bottom - top, np.array([*middle, bottom]), np.array([*middle, top])
 

@@ -412,6 +412,19 @@ def test_what_lies_in_a_basket_rests_on_its_bottom_although_that_was_not_seen(ru
     assert pairs(derived(rules, things, ROOM), "on") >= {("ball_1", "basket_1")}
 
 
+@pytest.mark.parametrize("seen_m", [0.02, 0.04, 0.06])
+def test_an_apple_whose_lower_part_a_bowl_hides_is_not_above_the_table(rules: KnowledgeBase, seen_m: float) -> None:
+    """About as tall as broad, it goes down to where the bowl ends; held over the bowl it does not."""
+    bowl = placed(surface(box((0.3, 0.3, 0.1)), faces=("x", "y")), (0.0, 0.0, 0.75))
+    apple = thing(((0.0, 0.0, 0.76 + 0.08 - 0.5 * seen_m), (0.08, 0.08, seen_m)))
+    things = {"table_1": thing(*TABLE), "bowl_1": bowl, "apple_1": apple}
+    unseen = Plan(seen_free_everywhere=False)
+    assert ("apple_1", "bowl_1") in pairs(derived(rules, things, unseen), "in")
+    assert ("apple_1", "table_1") not in pairs(derived(rules, things, unseen), "above")
+    things["apple_1"] = thing(box((0.08, 0.08, 0.08)), at=(0.0, 0.0, 0.9))
+    assert ("apple_1", "table_1") in pairs(derived(rules, things, unseen), "above"), "it is not in the bowl"
+
+
 def test_a_surface_goes_on_under_what_hides_it(rules: KnowledgeBase) -> None:
     """An apple in a bowl with a thin bottom nearly touches the table, of which the part under the bowl was not seen."""
     top = surface(TABLE[0])
