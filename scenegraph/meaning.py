@@ -15,7 +15,7 @@ from scenegraph.config import WorldConfig
 from scenegraph.doubts import CONTRARY, Doubts
 from scenegraph.graph import Edge, EdgeKey, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
-from scenegraph.perception.relations import MeasurementChange
+from scenegraph.perception.relations import CONTACTS, MeasurementChange
 from scenegraph.statements import Statement
 
 DERIVED = frozenset(
@@ -109,6 +109,7 @@ class Meaning:
     ) -> None:
         """Tell the rules what changed, and add to `changes` the edges and room types that now follow or fail.
 
+        touched: what may have new edges, beside the things that were found to rest on, or to be held by, something else
         seen: the things in view of an observation; None: an operator's word, against which no doubt is due
         """
         nodes = {step.id: step for step in changes.steps if isinstance(step, Node)}
@@ -128,7 +129,8 @@ class Meaning:
             self._facts_of.pop(node_id, None)
         self.knowledge.update(put=put, deleted=deleted, forget=sorted(gone))
 
-        asked = sorted(set(touched) - gone)
+        resettled = {key[1] for key in (*measured.put, *measured.deleted) if key[0] in CONTACTS}
+        asked = sorted((resettled | set(touched)) - gone)
         looked_at, derived = self.knowledge.derived_edges(asked) if asked else ([], [])
         failing = self._bring_edges_in_step(changes, looked_at, derived, graph, source, stamp_ns)
         failing = {key for key in failing if gone.isdisjoint(key[1:])}
