@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mapping.grid import read_only
 from mapping.kernels.colors import CELLS, count_colors
 
-__all__ = ["CELLS", "likeness", "no_colors", "piece_colors", "point_colors"]
+__all__ = ["CELLS", "distance", "likeness", "no_colors", "piece_colors", "point_colors"]
 
 Array: TypeAlias = NDArray[Any]
 
@@ -55,3 +55,15 @@ def likeness(a: Array, b: Array) -> NDArray[np.float32]:
     norm = np.sqrt(a.sum(axis=-1) * b.sum(axis=-1))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.sqrt(a * b).sum(axis=-1) / norm, np.float32)
+
+
+def distance(a: Array, b: Array) -> NDArray[np.float32]:
+    """How far apart colours (…, CELLS) of any sum are, 0 … ∞; NaN where one is not known.
+
+    The root of the Bhattacharyya distance, −ln of `likeness`: of two normal distributions of one width it is how many
+    widths (times √8) their means are apart.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        root_a, root_b = (np.sqrt(x / x.sum(axis=-1, keepdims=True)) for x in (a, b))
+        apart = 0.5 * ((root_a - root_b) ** 2).sum(axis=-1)  # exactly 0 for the same
+        return np.asarray(np.sqrt(-np.log1p(-np.minimum(apart, 1.0))), np.float32)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from mapping.colors import likeness, no_colors
+from mapping.colors import distance, no_colors
 from scenegraph.graph import Node
 
 Array: TypeAlias = NDArray[Any]
@@ -26,15 +26,15 @@ MOST_REMEMBERED = 1000
 SIZE_LOG = 0.15
 SIZE_M = 0.05
 """Edges of two boxes of one thing differ by this factor (natural logarithm), beside so many metres, …"""
-COLORS = 0.015
-"""… and colours fall short of being the same by so much, at one standard deviation each. Of 1036 loose things of
-simulated homes that were mapped on two tours from nothing, one in twenty fell shorter than 0.018, and three quarters of
-the others of their class than 0.07; sizes tell less: half of the others are as alike as nine in ten to themselves."""
-MOST_UNLIKE = 12.0
+COLORS = 0.1
+"""… and their colours are so far apart, at one standard deviation each. Of 1036 loose things of simulated homes that
+were mapped on two tours from nothing, one in twenty was farther from itself than 0.14, and three quarters of the others
+of their class farther than 0.27; sizes tell less: half of the others are as alike as nine in ten to themselves."""
+MOST_UNLIKE = 11.0
 """No more than this is taken for the same thing: seen badly on one tour, a thing is unlike itself by up to 7, where it
-was carried elsewhere by 3 to 5 more; other things of its class are mostly unlike it by 12 and more."""
+was carried elsewhere by 3 to 5 more; other things of its class are mostly unlike it by more."""
 ELSEWHERE = 3.0
-FAR = 4.0
+FAR = 3.0
 FAR_M = 8.0
 """What is not where it was is unlike it by so much, and by so much more when it is far from there: of things that look
 the same the nearest is the likeliest."""
@@ -68,7 +68,7 @@ class Look:
             return np.empty(0)
         edges = np.log(np.maximum([self.size, *(other.size for other in others)], SIZE_M))
         size = np.abs(edges[1:] - edges[0]).mean(axis=1) / SIZE_LOG
-        colors = (1.0 - likeness(self.colors, np.array([other.colors for other in others]))) / COLORS
+        colors = distance(self.colors, np.array([other.colors for other in others])) / COLORS
         unlike: NDArray[np.float64] = size + np.nan_to_num(colors)
         return unlike
 

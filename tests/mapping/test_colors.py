@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapping.colors import STEP, likeness, no_colors, piece_colors
+from mapping.colors import STEP, distance, likeness, no_colors, piece_colors
 from mapping.kernels.colors import CELLS, CHROMA_CELLS, CHROMA_STEP, DARK, LIGHT_CELLS, LIGHT_STEP
 
 shades = st.tuples(*[st.integers(0, 255)] * 3)
@@ -51,6 +51,23 @@ def test_likeness_is_symmetric_within_bounds_and_one_for_the_same(one, other):
     assert likeness(a, b) == pytest.approx(float(likeness(b, a)))
     assert -1e-6 <= likeness(a, b) <= 1.0 + 1e-5
     assert likeness(a, 3.0 * a) == pytest.approx(1.0, abs=1e-5)
+
+
+@given(shades, shades)
+def test_distance_is_the_root_of_the_logarithm_of_likeness_and_nothing_is_far_from_itself(one, other):
+    a, b = plain(one), plain(other)
+    assert distance(a, b) == distance(b, a)
+    assert distance(a, a) == 0.0
+    assert distance(a, 3.0 * a) == pytest.approx(0.0, abs=1e-3)
+    assert np.exp(-(distance(a, b) ** 2)) == pytest.approx(float(likeness(a, b)), abs=1e-5)
+    assert np.isnan(distance(no_colors(), a))
+
+
+@given(st.floats(2.0, 4.0), st.floats(0.0, 20.0), st.integers(30, 40))
+def test_distance_is_how_many_widths_two_bells_are_apart(width, apart, cells):
+    cell = np.arange(4 * cells)
+    bells = [np.exp(-((cell - 2 * cells - off) ** 2) / (2 * width**2)) for off in (-0.5 * apart, 0.5 * apart)]
+    assert distance(*bells) == pytest.approx(apart / width / np.sqrt(8.0), rel=1e-2, abs=1e-2)
 
 
 @given(st.tuples(*[st.integers(60, 255)] * 3), st.floats(0.75, 1.0))
