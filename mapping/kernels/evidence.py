@@ -73,6 +73,7 @@ def runs_of_image(
     bj: Int = 1 << 30
     bk: Int = 1 << 30
     slot: Int = np.int64(-1)
+    along = (np.arange(width) - camera[2]) / camera[0]
     for v in range(height):
         fresh, found = room_for(fresh, found, n_found, n_blocks, width)
         y_z = (v - camera[3]) / camera[1]
@@ -94,15 +95,15 @@ def runs_of_image(
             if z > 0.0 and choices[v, u] != 0 and trust[v, u] > 0.0:
                 share = z * z * scale * (4.0 if z < dense else 1.0)
                 here, weight = np.int64(choices[v, u]), trust[v, u] * min(share, UNIT)
-                x, y = (u - camera[2]) / camera[0] * z, y_z * z
+                x, y = along[u] * z, y_z * z
                 i = np.int64(np.floor((pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) * per_voxel))
                 j = np.int64(np.floor((pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) * per_voxel))
                 k = np.int64(np.floor((pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]) * per_voxel))
             if here == choice and i == a and j == b and k == c:
                 total += weight
                 continue
-            count = rounded(total, start, v)
-            if choice != 0 and count > 0:
+            count = rounded(total, start, v) if choice != 0 else np.int64(0)
+            if count > 0:
                 if a >> 3 != bi or b >> 3 != bj or c >> 3 != bk:
                     bi, bj, bk = a >> 3, b >> 3, c >> 3
                     slot = np.int64(lookup(table, bi, bj, bk))
