@@ -17,7 +17,7 @@ from mapping.esdf import EsdfMap
 from mapping.geometry import SE3
 from mapping.histograms import ClassHistogram, OrientedBox, class_histogram
 from mapping.instances import InstanceChange, InstanceMap
-from mapping.kernels.images import noise_share, smooth_depth
+from mapping.kernels.images import cut_off, noise_share, smooth_depth
 from mapping.labelled import LabelledCloud, PointLabels, labelled_cloud, labels_at
 from mapping.layer import Changed, MapLayer
 from mapping.moving import MovingChange, MovingThings
@@ -225,7 +225,9 @@ class LayeredMap:
         )
 
     def _near(self, depth_m: Array) -> Array:
-        return np.where(depth_m < self.label_range_m, depth_m, np.float32(0.0))
+        near = np.empty_like(depth_m)
+        cut_off(depth_m, self.label_range_m, near)
+        return near
 
     def labels_at(self, p_map: ArrayLike) -> PointLabels:
         """Class and instance at points (N, 3) [m], and whether anything was ever observed there."""

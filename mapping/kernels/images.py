@@ -176,6 +176,16 @@ def pick_pixels(seen: Array, nearest: Array, tolerance: Float, index: Array) -> 
 
 
 @njit(cache=True)
+def cut_off(depth: Array, range_m: Float, near: Array) -> None:
+    """What of a depth image (H, W) float32 [m] is nearer than that, filled into near (H, W) float32; 0 elsewhere."""
+    most, zero = np.float32(range_m), np.float32(0.0)
+    for v in range(depth.shape[0]):
+        row, out = depth[v], near[v]
+        for u in range(depth.shape[1]):
+            out[u] = row[u] if row[u] < most else zero
+
+
+@njit(cache=True)
 def noise_share(depth: Array, noise_base: Float, noise_growth: Float, step: Int) -> float:
     """How noisy a depth image is, as a share of the σ of its sensor: the median second difference of rows, over what
     noise of σ makes of it; 1 at most, and where there are too few pixels to tell.

@@ -103,9 +103,11 @@ def mask_depths(mask: Array, distance: Array) -> None:
 @njit(cache=True)
 def _carry(mask_beside: Array, distance_beside: Array, mask: Array, distance: Array) -> None:
     """Shorten the distances of a row, in place, by those of the row beside it, one step away."""
-    for u in range(len(mask)):
-        beside = distance_beside[u] if mask_beside[u] == mask[u] else np.uint8(0)
-        distance[u] = min(distance[u], np.uint8(beside + np.uint8(1)))
+    one = np.uint8(1)
+    for u in range(len(mask)):  # no branches and bytes only, so that it runs on vectors
+        step = np.uint8(distance_beside[u] + one)
+        step = step if mask_beside[u] == mask[u] else one
+        distance[u] = step if step < distance[u] else distance[u]
 
 
 @njit(cache=True)
@@ -323,7 +325,7 @@ def believe(
                  `doubt` where `doubtful` (H, W) uint8
     """
     height, width = mask.shape
-    per_px = np.float32(1.0 / rim_px)
+    per_px, one, less = np.float32(1.0 / rim_px), np.float32(1.0), np.float32(doubt)
     for v in range(height):
         for u in range(width):
             m = mask[v, u]
@@ -336,8 +338,11 @@ def believe(
             else:
                 label = np.uint16(-m)
             labels[v, u] = label if depth[v, u] > 0.0 else np.uint16(0)
-            sure = min(np.float32(distance[v, u]) * per_px, np.float32(1.0))
-            trust[v, u] = sure * np.float32(doubt) if doubtful[v, u] else sure
+        deep, odd, sure = distance[v], doubtful[v], trust[v]
+        for u in range(width):  # no branches, so that it runs on vectors
+            full = np.float32(deep[u]) * per_px
+            full = full if full < one else one
+            sure[u] = full * (less if odd[u] else one)
 
 
 @njit(cache=True, error_model="numpy")
