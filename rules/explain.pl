@@ -10,6 +10,7 @@
 :- use_module(rooms).
 :- use_module(viewpoint).
 :- use_module(ways).
+:- use_module(affordances).
 :- use_module(vocabulary).
 :- use_module(readings).
 
@@ -113,6 +114,8 @@ quantifier_rule(not(_), true, "no candidate is possible") :- !.
 quantifier_rule(not(_), unknown, "nothing is known to hold it, but a candidate is open") :- !.
 quantifier_rule(all(_, _), true, "it holds of every candidate") :- !.
 quantifier_rule(all(_, _), unknown, "it is open for a candidate") :- !.
+quantifier_rule(extreme(most, _, _, _), true, "no candidate may have more") :- !.
+quantifier_rule(extreme(least, _, _, _), true, "no candidate may have less") :- !.
 quantifier_rule(_, true, "every candidate is decided") :- !.
 quantifier_rule(_, _, "a candidate is open").
 
@@ -186,6 +189,13 @@ reason(instance_of(Id, Class), true, [], Evidence) :-
     instance_of(Id, Class),
     !,
     findall(Fact, class_evidence(Id, Class, Fact), Evidence).
+reason(Call, Truth, Tests, Evidence) :-
+    offered(Call, Thing, Truth, Tests),
+    !,
+    findall(label(Thing, Label), label(Thing, Label), Evidence).
+reason(cannot_be(Room, Type), Truth, [], [Reason]) :-
+    excluded(Room, Type, Truth, Reason),
+    !.
 reason(room_type(Room, Type), true, [], [Reason]) :-
     room_type(Room, Type, Reason),
     !.
@@ -215,6 +225,15 @@ reason(Call, true, [], []) :-
     Call \= _:_,
     call(vocabulary:Call),
     !.
+
+%   offered(+Call, ?Thing, -Truth, -Tests): what a thing affords, or the robot can do with it.
+offered(Call, Thing, Truth, Tests) :-
+    Call =.. [Word, Thing],
+    (   affordance(Word)
+    ->  affords(Word, Thing, Truth, Tests)
+    ;   capability(Word),
+        can(Word, Thing, Truth, Tests)
+    ).
 
 spatial_call(Call, Relation, A, B) :-
     Call =.. [Word, X, Y],
@@ -250,6 +269,7 @@ class_evidence(Id, Class, node(Id, Class)) :- node(Id, Class).
 with_unit(test(Name, Value, Comparison, Threshold, Limit), test(Name, Value, Comparison, Threshold, Limit, Unit)) :-
     ( threshold(Threshold, _, Unit0, _) -> Unit = Unit0
     ; Threshold == between_share -> Unit = share
+    ; assumed(Threshold, _, Unit0, _) -> Unit = Unit0
     ; memberchk(Threshold, [near_distance, contact_gap, reach, robot_width, no_way]) -> Unit = metre
     ; Unit = none
     ).
@@ -325,6 +345,14 @@ candidate(Call, Hidden, Names, Distance, because(Text, Truth, "", Tests, Evidenc
     maplist(with_unit, Tests0, Tests),
     findall(Fact, evidence(Tests0, A, B, Fact), Evidence).
 
+candidate(Call, Hidden, Names, Distance, because(Text, Truth, "", Tests, [], [])) :-
+    instances_of(Hidden),
+    offered(Call, _, Truth, Tests0),
+    Truth \== true,
+    shortfall(Tests0, Distance),
+    text(Call, Names, Text),
+    maplist(with_unit, Tests0, Tests).
+
 instances_of([]).
 instances_of([Thing-Class|Hidden]) :-
     instance_of(Thing, Class),
@@ -395,5 +423,7 @@ source(not(A), \+ SA) :- !, source(A, SA).
 source(all(A, B), forall(SA, SB)) :- !, source(A, SA), source(B, SB).
 source(once(A), once(SA)) :- !, source(A, SA).
 source(sequence(How, A), Source) :- !, source(A, SA), How =.. List, append(List, [SA], Call), Source =.. Call.
+source(extreme(most, Value, _, A), maximal(Value, SA)) :- !, source(A, SA).
+source(extreme(least, Value, _, A), minimal(Value, SA)) :- !, source(A, SA).
 source(collect(findall(T, Bag), _, A), findall(T, SA, Bag)) :- !, source(A, SA).
 source(collect(aggregate_all(Spec, Result), _, A), aggregate_all(Spec, SA, Result)) :- source(A, SA).

@@ -16,6 +16,8 @@ read_goal/4 checks a question against the vocabulary and turns it into a tree:
     Variable-Class for the class names that stood in it
   * plain(Call): builtins without an effect (comparison, arithmetic, lists)
   * and/2, or/2, if/3, not/1, all/2, once/1, collect/3, sequence/2
+  * extreme(How, Value, Template, Goal): the solutions of Goal with the most, or
+    the least, Value
 
 What is not in the vocabulary and not in the short lists below is refused before
 anything runs. readings.pl makes callable goals of the tree.
@@ -99,6 +101,8 @@ free_variables(collect(How, _, _), Variables, Rest) :- !,
     append(Own, Rest, Variables).
 free_variables(sequence(_, Goal), Variables, Rest) :- !,
     free_variables(Goal, Variables, Rest).
+free_variables(extreme(_, _, _, Goal), Variables, Rest) :- !,
+    free_variables(Goal, Variables, Rest).
 free_variables(Goal, Variables, Rest) :-
     Goal =.. [_|Parts],
     foldl(free_variables, Parts, Variables, Rest).
@@ -173,6 +177,12 @@ check(limit(Count, A), sequence(limit(Count), G)) :- !,
     check(A, G).
 check(order_by(Specs, A), sequence(order_by(Specs), G)) :- !,
     check(A, G).
+check(maximal(Value, A), extreme(most, Value, Template, G)) :- !,
+    check(A, G),
+    visible_variables(G, Template).
+check(minimal(Value, A), extreme(least, Value, Template, G)) :- !,
+    check(A, G),
+    visible_variables(G, Template).
 check(_:_, _) :- !,
     throw(problem(forbidden, "a goal may not name a module", "")).
 check(name(Id, Name), Goal) :- !,
@@ -331,7 +341,7 @@ refuse(Term) :-
         format(string(Hint), "did you mean ~w(X)?", [Name]),
         throw(problem(unknown_predicate, Message, Hint))
     ;   findall(Word, ( signature(Known, _), functor(Known, Word, _) ), Words),
-        nearest(Name, Words, Nearest),
+        most_alike(Name, Words, Nearest),
         format(string(Message), "~w/~d is not known", [Name, Arity]),
         did_you_mean(Nearest, Hint),
         throw(problem(unknown_predicate, Message, Hint))

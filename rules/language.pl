@@ -244,7 +244,7 @@ complaint(Words, problem(not_understood, Message, Hint)) :-
     !,
     format(string(Message), "I do not know the word `~w`", [Word]),
     findall(Known, ( known_class(Known) ; node(Known, _) ; known_value(Known) ), Names),
-    nearest(Word, Names, Nearest),
+    most_alike(Word, Names, Nearest),
     did_you_mean(Nearest, Hint).
 complaint(Words, problem(not_understood, Message, "say, for example, the red cup on the table, or near the oven")) :-
     last(Words, Last),

@@ -1,5 +1,5 @@
 :- module(names,
-          [ nearest/3,                  % +Name, +Candidates, -Nearest
+          [ most_alike/3,                  % +Name, +Candidates, -Nearest
             unknown_name/2,             % +Atom, +Names
             did_you_mean/2,             % +Names, -Hint
             known_key/1,                % ?Key
@@ -40,7 +40,7 @@ known_value(Value) :-
 %   @error problem(unknown_name, ...) with the nearest of Names
 
 unknown_name(Atom, Names) :-
-    nearest(Atom, Names, Nearest),
+    most_alike(Atom, Names, Nearest),
     format(string(Message), "~q is neither an id, a class, a name nor a value that is known", [Atom]),
     did_you_mean(Nearest, Hint),
     throw(problem(unknown_name, Message, Hint)).
@@ -56,11 +56,11 @@ did_you_mean(Names, Hint) :-
 in_backquotes(Name, Quoted) :-
     format(atom(Quoted), "`~w`", [Name]).
 
-%!  nearest(+Name:atom, +Candidates:list(atom), -Nearest:list(atom)) is det.
+%!  most_alike(+Name:atom, +Candidates:list(atom), -Nearest:list(atom)) is det.
 %
 %   The up to three Candidates that are spelled most like Name, best first.
 
-nearest(Name, Candidates, Nearest) :-
+most_alike(Name, Candidates, Nearest) :-
     sort(Candidates, Unique),
     findall(Likeness-Candidate,
             ( member(Candidate, Unique),

@@ -3,6 +3,7 @@
             some/2,                     % ?Visible, :Goal
             maybe/1,                    % :Goal
             settled/4,                  % +Template, :Certain, :Possible, -Bag
+            foremost/6,                 % +How, ?Value, ?Template, :Certain, :Possible, +Reading
             ruled/2                     % +Goal, +Reading
           ]).
 :- use_module(library(lists)).
@@ -22,7 +23,8 @@ the possible one has, and false otherwise.
 :- meta_predicate
     some(?, 0),
     maybe(0),
-    settled(+, 0, 0, -).
+    settled(+, 0, 0, -),
+    foremost(+, ?, ?, 0, 0, +).
 
 %!  readings(+Goal, -Certain, -Possible) is det.
 %
@@ -56,6 +58,9 @@ readings(sequence(How, A), Certain, PA) :- !,
     append(List, [CA], Call),
     Certain0 =.. Call,
     Certain = solution_sequences:Certain0.
+readings(extreme(How, Value, Template, A), readings:foremost(How, Value, Template, CA, PA, certain),
+         readings:foremost(How, Value, Template, CA, PA, possible)) :- !,
+    readings(A, CA, PA).
 readings(collect(How, Template, A), Certain, Possible) :-
     readings(A, CA, PA),
     Certain = ( readings:settled(Template, CA, PA, Bag), readings:summary(How, Bag) ),
@@ -133,6 +138,43 @@ settled(Template, Certain, Possible, Bag) :-
     sort(Bag, Set),
     sort(All, AllSet),
     AllSet =@= Set.
+
+%!  foremost(+How, ?Value, ?Template, :Certain, :Possible, +Reading) is nondet.
+%
+%   The solutions of which Value is `most` or `least`. It is certain of a certain
+%   solution when no possible one may have more (or less); it is possible of a
+%   possible one that may have as much as every certain one.
+%
+%   @error type_error(number, Value)
+
+foremost(How, Value, Template, Certain, Possible, Reading) :-
+    findall(Value-Template, Certain, Sure),
+    best_value(How, Sure, Best),
+    findall(Value-Template, Possible, Open),
+    (   Reading == certain
+    ->  Best \== none,
+        \+ ( member(Other-_, Open), may_beat(How, Other, Best) ),
+        member(Value-Template, Sure),
+        Value =:= Best
+    ;   member(Value-Template, Open),
+        ( var(Value) ; Best == none ; \+ beats(How, Best, Value) ),
+        !
+    ).
+
+best_value(How, Pairs, Best) :-
+    findall(Value, member(Value-_, Pairs), Values),
+    (   Values == []
+    ->  Best = none
+    ;   How == most
+    ->  max_list(Values, Best)
+    ;   min_list(Values, Best)
+    ).
+
+may_beat(_, Value, _) :- var(Value), !.
+may_beat(How, Value, Best) :- beats(How, Value, Best).
+
+beats(most, A, B) :- A > B.
+beats(least, A, B) :- A < B.
 
 summary(findall(_, Bag), Bag).
 summary(aggregate_all(Spec, Result), Bag) :-

@@ -1,7 +1,8 @@
 :- module(rooms,
           [ room_type/2,                % ?Room, ?Type
             room_type/3,                % ?Room, ?Type, -Reason
-            type_of_room/1              % ?Type
+            type_of_room/1,             % ?Type
+            excluded/4                  % ?Room, ?Type, -Truth, -Reason
           ]).
 :- use_module(library(lists)).
 :- use_module(library(aggregate)).
@@ -183,3 +184,55 @@ best(Scores, Type, Sum, Because) :-
             ( member(T-evidence(S, B), Scores), Negative is -S ),
             Keyed),
     keysort(Keyed, [key(_, Type)-evidence(Sum, Because)|_]).
+
+%!  indispensable(?Type, ?Classes) is nondet.
+%
+%   In every room of Type there is a thing of one of Classes.
+
+indispensable(kitchen,     [sink]).
+indispensable(kitchen,     [oven, stove, microwave]).
+indispensable(bathroom,    [toilet, bathtub, shower]).
+indispensable(bedroom,     [bed, sofa]).
+indispensable(child_room,  [bed]).
+indispensable(living_room, [seat]).
+indispensable(dining_room, [table]).
+indispensable(office,      [desk, table]).
+indispensable(laundry,     [washing_machine, dryer]).
+
+%!  excluded(?Room, ?Type, -Truth, -Reason) is nondet.
+%
+%   Whether Room cannot be a Type: it was told to be another, or lies under the
+%   open sky; or it lacks what is indispensable. Truth is unknown where part of
+%   the room was not seen, unobserved(Room), for what is missing may be there.
+%   Reason is told(Other), open_sky, or without(Classes).
+
+excluded(Room, Type, Truth, Reason) :-
+    node(Room, room),
+    ( nonvar(Type) -> true ; setof(T, Cs^indispensable(T, Cs), Types), member(Type, Types) ),
+    (   attribute(Room, type, Other)
+    ->  ( Other == Type -> Truth0 = false ; Truth0 = true ),
+        Reason0 = told(Other)
+    ;   attribute(Room, outdoors, true)
+    ->  ( Type == outdoors -> Truth0 = false ; Truth0 = true ),
+        Reason0 = open_sky
+    ;   indispensable(Type, Classes),
+        \+ has_one_of(Room, Classes, true)
+    ->  ( ( unobserved(Room) ; has_one_of(Room, Classes, unknown) ) -> Truth0 = unknown ; Truth0 = true ),
+        Reason0 = without(Classes)
+    ;   Truth0 = false,
+        Reason0 = nothing_missing
+    ),
+    Truth = Truth0,
+    Reason = Reason0.
+
+%   has_one_of(+Room, +Classes, ?Truth): a thing of one of Classes is in Room, or may be.
+has_one_of(Room, Classes, Truth) :-
+    member(Class, Classes),
+    labelled(Thing, Class),
+    (   holds(in, Thing, Room)
+    ->  Its = true
+    ;   possibly_holds(in, Thing, Room),
+        Its = unknown
+    ),
+    Truth = Its,
+    !.

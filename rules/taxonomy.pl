@@ -3,7 +3,8 @@
             subclass/2,                 % ?Class, ?Super
             class/1,                    % ?Class
             labelled/2,                 % ?Id, ?Class
-            container/1,                % ?Class
+            container_class/1,          % ?Class
+            holds_things/1,             % ?Class
             part_kind/2                 % ?Part, ?Whole
           ]).
 :- use_module(facts).
@@ -213,19 +214,23 @@ labelled(Id, Class) :-
     label(Id, Label),
     subclass(Label, Class).
 
-%!  container(?Class) is nondet.
+%!  container_class(?Class) is nondet.
 %
 %   Things of Class hold others inside: their whole box counts as interior.
 
-container(Class) :-
+container_class(Class) :-
     nonvar(Class),
     !,
     subclass(Class, Super),
     holds_things(Super),
     !.
-container(Class) :-
+container_class(Class) :-
     setof(C, S^( holds_things(S), subclass(C, S) ), Classes),
     member(Class, Classes).
+
+%!  holds_things(?Class) is nondet.
+%
+%   Things of Class and of the classes below it are containers.
 
 holds_things(receptacle).   holds_things(storage).      holds_things(vessel).
 holds_things(cup).          holds_things(glass).        holds_things(bowl).

@@ -6,14 +6,19 @@
             known_class/1,              % ?Class
             node/2, label/2, named/2, position/4, size/4, yaw/2, confidence/2, seen/3, attribute/3,
             measured/3, measured/4, unobserved/1,
-            instance_of/2, subclass/2, container/1, room_type/2, fact/1,
+            instance_of/2, subclass/2, room_type/2, cannot_be/2, fact/1,
             object/1, room/1, structure/1, agent/1, place/1,
             on/2, supports/2, in/2, contains/2, above/2, under/2, near/2, touching/2, next_to/2,
             in_front_of/2, behind/2, left_of/2, right_of/2,
             in_front_of/3, behind/3, left_of/3, right_of/3,
             connects/2, adjacent/2, leads_to/2, part_of/2, attached_to/2, hanging_from/2,
             visible_from/2, reachable/2, blocks/2,
-            distance/3, gap/3, larger/2
+            distance/3, gap/3, larger/2,
+            color/2, size/2, volume/2, height/2, width/2, depth/2, area/2,
+            nearest/3, farthest/3, largest/2, smallest/2, tallest/2, latest/2,
+            graspable/1, openable/1, container/1, surface/1, sittable/1, powered/1, pourable/1, movable/1,
+            can_reach/1, can_carry/1, fits_through/1,
+            place_setting/3, workplace/3
           ]).
 :- use_module(library(lists)).
 :- use_module(library(apply)).
@@ -23,6 +28,9 @@
 :- use_module(rooms).
 :- use_module(viewpoint).
 :- use_module(ways).
+:- use_module(properties).
+:- use_module(affordances).
+:- use_module(groups).
 
 /** <module> The words in which questions are asked
 
@@ -110,8 +118,13 @@ name_atom(Name, Atom) :-
     !.
 
 signature(subclass(class, class), "the first class is the second or below it").
-signature(container(class), "things of this class hold others inside").
 signature(room_type(thing, class), "the room's type, told by what is in it").
+signature(cannot_be(thing, class), "the room lacks what every room of this type has").
+
+%!  cannot_be(?Room, ?Type) is nondet.
+
+cannot_be(Room, Type) :-
+    excluded(Room, Type, true, _).
 signature(fact(any), "what an operator told").
 
 %!  fact(?Term) is nondet.
@@ -228,6 +241,26 @@ visible_from(A, P) :- holds(visible_from, A, P).
 reachable(A, Robot) :- holds(reachable, A, Robot).
 blocks(A, Door) :- holds(blocks, A, Door).
 
+                /*******************************
+                *          PROPERTIES          *
+                *******************************/
+
+signature(color(thing, value), "the thing's colour, mainly").
+signature(size(thing, number), "longest edge of the box, metres").
+signature(volume(thing, number), "volume of the box, cubic metres").
+signature(height(thing, number), "vertical extent, metres").
+signature(width(thing, number), "longer horizontal edge of the box, metres").
+signature(depth(thing, number), "shorter horizontal edge of the box, metres").
+signature(area(thing, number), "ground that the thing or room covers, square metres").
+
+color(A, Color) :- property(color, A, Color).
+size(A, Metres) :- property(size, A, Metres).
+volume(A, Volume) :- property(volume, A, Volume).
+height(A, Metres) :- property(height, A, Metres).
+width(A, Metres) :- property(width, A, Metres).
+depth(A, Metres) :- property(depth, A, Metres).
+area(A, Area) :- property(area, A, Area).
+
 signature(distance(thing, thing, number), "metres between the centres").
 signature(gap(thing, thing, number), "metres between the surfaces").
 signature(larger(thing, thing), "the first box has the larger volume").
@@ -242,6 +275,87 @@ larger(A, B) :-
     size(A, XA, YA, ZA),
     size(B, XB, YB, ZB),
     XA*YA*ZA > XB*YB*ZB.
+
+                /*******************************
+                *         SUPERLATIVES         *
+                *******************************/
+
+signature(nearest(thing, class, thing), "of all of the class, the first is the nearest to the third, by their centres").
+signature(farthest(thing, class, thing), "of all of the class, the first is the farthest from the third").
+signature(largest(thing, class), "of all of the class it has the largest volume; of rooms, the largest area").
+signature(smallest(thing, class), "of all of the class it has the smallest volume; of rooms, the smallest area").
+signature(tallest(thing, class), "of all of the class it has the largest vertical extent").
+signature(latest(thing, class), "of all of the class it was seen most recently").
+
+nearest(A, Class, B) :- foremost(least, distance_to(B), A, Class).
+farthest(A, Class, B) :- foremost(most, distance_to(B), A, Class).
+largest(A, Class) :- foremost(most, extent, A, Class).
+smallest(A, Class) :- foremost(least, extent, A, Class).
+tallest(A, Class) :- foremost(most, height, A, Class).
+latest(A, Class) :- foremost(most, last_seen, A, Class).
+
+%   foremost(+How, +Measure, ?Thing, ?Class): Thing has the most or the least of what Measure says, of all of Class.
+foremost(How, distance_to(B), Thing, Class) :-
+    var(B),
+    !,
+    node(B, object),
+    foremost(How, distance_to(B), Thing, Class).
+foremost(How, Measure, Thing, Class) :-
+    ( nonvar(Class) -> true ; setof(C, Id^label(Id, C), Classes), member(Class, Classes) ),
+    findall(Value-Id,
+            ( instance_of(Id, Class),
+              once(measure(Measure, Id, Value)) ),
+            Pairs0),
+    sort(Pairs0, Pairs),
+    Pairs = [Least-_|_],
+    (   How == least
+    ->  Best = Least
+    ;   last(Pairs, Best-_)
+    ),
+    member(Best-Thing, Pairs).
+
+measure(distance_to(B), Id, Value) :- distance(Id, B, Value).
+measure(extent, Id, Value) :- ( node(Id, room) -> property(area, Id, Value) ; property(volume, Id, Value) ).
+measure(height, Id, Value) :- property(height, Id, Value).
+measure(last_seen, Id, Value) :- seen(Id, _, Value).
+
+                /*******************************
+                *  AFFORDANCES, CAPABILITIES   *
+                *******************************/
+
+signature(graspable(thing), "a hand closes around it: small enough, and no fixture").
+signature(openable(thing), "it can be opened and closed").
+signature(container(thing), "it holds others inside").
+signature(surface(thing), "others can be put down on it").
+signature(sittable(thing), "a person can sit on it").
+signature(powered(thing), "it runs on electricity").
+signature(pourable(thing), "something can be poured out of it").
+signature(movable(thing), "it is no fixture: it can be carried or shoved elsewhere").
+signature(can_reach(thing), "the robot that asks finds a way to where it can reach it").
+signature(can_carry(thing), "the robot that asks can carry it: no fixture, and light enough").
+signature(fits_through(thing), "the robot that asks fits through this door or opening").
+
+graspable(A) :- affords(graspable, A, true, _).
+openable(A) :- affords(openable, A, true, _).
+container(A) :- affords(container, A, true, _).
+surface(A) :- affords(surface, A, true, _).
+sittable(A) :- affords(sittable, A, true, _).
+powered(A) :- affords(powered, A, true, _).
+pourable(A) :- affords(pourable, A, true, _).
+movable(A) :- affords(movable, A, true, _).
+can_reach(A) :- can(can_reach, A, true, _).
+can_carry(A) :- can(can_carry, A, true, _).
+fits_through(A) :- can(fits_through, A, true, _).
+
+                /*******************************
+                *            GROUPS            *
+                *******************************/
+
+signature(place_setting(thing, thing, thing), "a plate, a fork and a knife that are near each other on one support").
+signature(workplace(thing, thing, thing), "a desk or table, a seat near it, and a screen or keyboard on it").
+
+place_setting(Plate, Fork, Knife) :- group(place_setting(Plate, Fork, Knife), true).
+workplace(Desk, Seat, Screen) :- group(workplace(Desk, Seat, Screen), true).
 
                 /*******************************
                 *       WHAT MAY BE TRUE       *
@@ -289,6 +403,19 @@ possibly(room_type(Id, Class)) :-
         node(Id, room),
         \+ room_type(Id, _)
     ).
+possibly(cannot_be(Room, Type)) :-
+    !,
+    excluded(Room, Type, Truth, _),
+    Truth \== false.
+possibly(Goal) :-
+    superlative(Goal, Class),
+    (   nonvar(Class),
+        \+ instance_of(_, Class)
+    ->  !,
+        unobserved(world)
+    ;   !,
+        call(Goal)
+    ).
 possibly(leads_to(A, B)) :-
     !,
     possibly_leads_to(A, B).
@@ -307,6 +434,28 @@ possibly(Goal) :-
     graded(Relation),
     !,
     possibly_holds(Relation, A, B).
+possibly(Goal) :-
+    Goal =.. [Word, A],
+    (   affordance(Word)
+    ->  !,
+        affords(Word, A, Truth, _)
+    ;   capability(Word),
+        !,
+        can(Word, A, Truth, _)
+    ),
+    Truth \== false.
+possibly(Goal) :-
+    Goal =.. [Property, A, Value],
+    property_name(Property),
+    !,
+    (   property(Property, A, Value)
+    ;   lacking(Property, A)
+    ).
+possibly(Goal) :-
+    grouped(Goal),
+    !,
+    group(Goal, Truth),
+    Truth \== false.
 possibly(Goal) :-
     own_frame(Goal, B),
     viewer(Viewer),
@@ -343,6 +492,13 @@ unseen(Goal) :-
     nonvar(Argument),
     Argument = '$some'(_),
     !.
+
+superlative(nearest(_, Class, _), Class).
+superlative(farthest(_, Class, _), Class).
+superlative(largest(_, Class), Class).
+superlative(smallest(_, Class), Class).
+superlative(tallest(_, Class), Class).
+superlative(latest(_, Class), Class).
 
 own_frame(in_front_of(_, B), B).
 own_frame(behind(_, B), B).

@@ -68,13 +68,17 @@ class Meaning:
         self._structural.clear()
 
     def learn_robot(self, robot: RobotDescription) -> None:
-        """Tell the rules how wide an opening a robot needs."""
-        width = Compound("attribute", (Atom(f"agent_{robot.robot}"), Atom("width_m"), 2.0 * robot.radius_m))
-        self.knowledge.update(put=[width])
+        """Tell the rules how wide an opening a robot needs, how far it reaches and what it carries, as far as it
+        said."""
+        abilities = {"width_m": 2.0 * robot.radius_m, "height_m": robot.height_m, "reach_m": robot.reach_m,
+                     "max_width_m": robot.max_width_m, "payload_kg": robot.payload_kg}  # fmt: skip
+        known = [(name, float(value)) for name, value in abilities.items() if value is not None]
+        subject = Atom(f"agent_{robot.robot}")
+        self.knowledge.update(put=[Compound("attribute", (subject, Atom(name), value)) for name, value in known])
 
     def is_container(self, label: str) -> bool:
         """Whether the taxonomy calls things of this class containers."""
-        return self._known(self._containers, label, lambda c: Compound("container", (c,)))
+        return self._known(self._containers, label, lambda c: Compound("container_class", (c,)))
 
     @property
     def near_m(self) -> tuple[float, float]:

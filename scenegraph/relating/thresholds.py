@@ -40,6 +40,6 @@ class Thresholds:
     def is_container(self, label: str) -> bool:
         """Whether the taxonomy says that the whole box of such a thing is its inside."""
         if label not in self._containers:
-            goal = Compound("container", (Atom(class_atom(label)),))
+            goal = Compound("container_class", (Atom(class_atom(label)),))
             self._containers[label] = bool(self.knowledge.call(goal, limit=1))
         return self._containers[label]

@@ -42,9 +42,9 @@ test(every_plain_builtin_is_safe, true(Unsafe == [])) :-
               \+ catch(safe_goal(goals:Goal), _, fail) ),
             Unsafe).
 test(nearest_first, true(Nearest == [oven])) :-
-    nearest(ovem, [oven, table, sofa], Nearest).
+    most_alike(ovem, [oven, table, sofa], Nearest).
 test(exchanged_letters, true(Nearest == [chair])) :-
-    nearest(chiar, [chair, table], Nearest).
+    most_alike(chiar, [chair, table], Nearest).
 
 :- end_tests(goals).
 
