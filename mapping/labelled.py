@@ -80,9 +80,10 @@ def labels_near(
 ) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:
     """Class ids (N,) at points (N, 3) [m] and how sure they are (N,), or, where the voxel of a point has none, of the
     nearest voxel that has one and whose centre is not farther than `reach_m`; 0 and NaN where there is none."""
-    centres, near = nearest_labelled(p_map, semantics, reach_m)
+    cells = _nearest_cells(p_map, semantics, reach_m)
+    near = cells >= 0
     labels, confidence = np.zeros(len(near), np.uint16), np.full(len(near), np.nan, np.float32)
-    labels[near], confidence[near] = semantics.query(centres)
+    labels[near], confidence[near] = semantics.classes_at(cells[near])
     return labels, confidence
 
 
@@ -91,6 +92,13 @@ def nearest_labelled(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Where the label is that `labels_near` gives to points (N, 3) [m]: the centres (M, 3) [m] of these voxels, and
     which points (N,) bool have one."""
+    cells = _nearest_cells(p_map, semantics, reach_m)
+    near = cells >= 0
+    return ijk_to_centre(semantics.store.ijk(cells[near]), semantics.voxel_size_m), near
+
+
+def _nearest_cells(p_map: ArrayLike, semantics: SemanticMap, reach_m: float) -> NDArray[np.int64]:
+    """The cells (N,) of these voxels, −1 where a point (N, 3) [m] has none."""
     points = as_points(p_map)
     store = semantics.store
     cells = np.empty(len(points), np.int64)
@@ -99,8 +107,7 @@ def nearest_labelled(
         store.table, store.masks, store.first, store.fields["evidence"], semantics.least * UNIT, points,
         semantics.voxel_size_m, reach, cells,
     )  # fmt: skip
-    near = cells >= 0
-    return ijk_to_centre(store.ijk(cells[near]), semantics.voxel_size_m), near
+    return cells
 
 
 def labels_of_cubes(

@@ -256,7 +256,7 @@ class SemanticMap(PackedLayer):
     def query(self, p_map: ArrayLike) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:
         """Class id (N,), 0 where unknown or not yet labelled, and how sure it is (N,): its share of the votes or its
         posterior, NaN where unknown."""
-        return self._classes(self.store.cells_at(p_map))
+        return self.classes_at(self.store.cells_at(p_map))
 
     def belief(self, p_map: ArrayLike) -> ClassBelief:
         """What the voxels at points (N, 3) [m] themselves say, without the things that they belong to."""
@@ -269,12 +269,12 @@ class SemanticMap(PackedLayer):
     def voxels(self) -> tuple[Array, Array, Array]:
         """Centres (N, 3) [m], class ids (N,) and confidences (N,) of all voxels with evidence."""
         cells = self.store.cells()
-        labels, confidence = self._classes(cells)
+        labels, confidence = self.classes_at(cells)
         known = labels > 0
         return ijk_to_centre(self.store.ijk(cells[known]), self.voxel_size_m), labels[known], confidence[known]
 
-    def _classes(self, cells: Array) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:
-        """Class (N,) of cells (N,) and how sure it is; 0 and NaN where there is no evidence."""
+    def classes_at(self, cells: Array) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:
+        """As `query`, of cells (N,) of the store."""
         rows = self.store.rows(cells)
         labels = np.empty(len(rows), np.uint16)
         best, held = np.empty(len(rows), np.int64), np.empty(len(rows), np.int64)
