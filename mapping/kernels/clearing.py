@@ -40,6 +40,8 @@ def list_seen_through(
     n = 0
     for m in range(slots.shape[0]):
         slot = slots[m]
+        if n + 512 > cells.shape[0]:  # once a block: an array that is assigned in a loop is counted as a reference
+            cells = np.concatenate((cells, np.empty_like(cells)))
         for slab in range(8):
             left = masks[slot, slab]
             while left:
@@ -66,8 +68,6 @@ def list_seen_through(
                     and abs(reach[v - around, u]) > beyond
                     and abs(reach[v + around, u]) > beyond
                 ):
-                    if n == cells.shape[0]:
-                        cells = np.concatenate((cells, np.empty_like(cells)))
                     cells[n] = slot << 9 | local
                     n += 1
     return cells[:n].copy()

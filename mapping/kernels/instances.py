@@ -252,7 +252,7 @@ def vote(
     """
     k = records.shape[1] // 2
     latest = np.full(65536, -1, np.int64)
-    pairs = np.empty((4096, 2), np.int64)
+    pairs = np.empty((cells.shape[0], 2), np.int64)
     n = 0
     for m in range(cells.shape[0]):
         choice, count = choices[m], min(votes[m], limit)
@@ -280,8 +280,6 @@ def vote(
         changed_at[slot] = revision
         if choice != BACKGROUND and latest[choice] != slot:
             latest[choice] = slot
-            if n == len(pairs):
-                pairs = np.concatenate((pairs, np.empty_like(pairs)))
             pairs[n, 0], pairs[n, 1] = choice, slot
             n += 1
     return pairs[:n]
