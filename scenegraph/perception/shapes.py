@@ -26,7 +26,8 @@ PART_INSIDE = 0.6
 PART_GAP_M = 0.45
 MOST_PARTS = 3
 """… but for what lies right under or over it: a seat hides the column that joins it to its foot. Such a part has this
-share of the votes, and so much of it lies over or under the main part, give or take a margin, at most this far off."""
+share of the votes, and so much of it lies over or under the main part, or of the main part over or under it as of a
+pedestal under its basin, give or take a margin, at most this far off."""
 EXTREME_SHARE = 0.003
 """Share of the votes that may stick out of a box at the bottom; half of it at the top: outliers of depth and pose."""
 SIDE_SHARE = 0.001
@@ -237,10 +238,15 @@ def _parts_of_one(points: NDArray[np.float32], weights: NDArray[np.float32]) -> 
         left[part] = False
         if weights[part].sum() < PART_SHARE * total:
             break
-        hull = shapes.convex_hull(points[together, :2].astype(np.float64))
-        inside = shapes.points_inside(hull, points[part, :2].astype(np.float64), PART_BESIDE_M)
+        main, other = points[together, :2].astype(np.float64), points[part, :2].astype(np.float64)
+        inside = max(_share_inside(other, main), _share_inside(main, other))
         low, high = points[together, 2].min(), points[together, 2].max()
         apart = max(low - points[part, 2].max(), points[part, 2].min() - high)
-        if inside.mean() >= PART_INSIDE and apart <= PART_GAP_M:
+        if inside >= PART_INSIDE and apart <= PART_GAP_M:
             together[part] = True
     return together
+
+
+def _share_inside(points: Array, others: Array) -> float:
+    """Share of the points (N, 2) that lie in the convex hull of others (M, 2), give or take PART_BESIDE_M."""
+    return float(shapes.points_inside(shapes.convex_hull(others), points, PART_BESIDE_M).mean())

@@ -534,6 +534,18 @@ def test_the_distance_of_two_shapes_is_that_of_their_nearest_points() -> None:
         assert np.linalg.norm(p - q) == pytest.approx(found, abs=1e-5)
 
 
+@pytest.mark.parametrize("heavier", [1.0, 3.0])
+def test_a_basin_and_its_pedestal_are_one_whichever_was_seen_better(heavier: float) -> None:
+    """The basin hides the top of the pedestal: 15 cm of height lie between what was seen of the two."""
+    basin, pedestal = surface(((0.0, 0.0, 0.85), (0.56, 0.44, 0.2))), surface(box((0.18, 0.16, 0.6)))
+    stray = surface(((1.2, 0.0, 0.1), (0.2, 0.2, 0.2)))
+    points = np.concatenate([basin, pedestal, stray]).astype(np.float32)
+    weights = np.repeat([1.0, heavier * len(basin) / len(pedestal), 0.2], [len(basin), len(pedestal), len(stray)])
+    shape = Shape.trimmed(points, weights.astype(np.float32), VOXEL)
+    assert shape is not None
+    assert shape.box.size == pytest.approx([0.56, 0.44, 0.95], abs=0.03), "what lies beside is another thing's"
+
+
 def test_the_box_of_a_turned_thing_is_turned() -> None:
     shape = thing(box((1.2, 0.4, 0.5)), at=(1.0, 2.0, 0.0), yaw=0.5)
     assert shape.box.size == pytest.approx([1.2, 0.4, 0.5], abs=1e-3)
