@@ -1,7 +1,8 @@
 """The ground that a thing covers, where one side of it was seen only: on the boards of shelves, in open cabinets.
 
-What lies there was seen from the front. Its footprint is completed along the depth of what houses it, within that and
-as far as space was not seen to be free, until it is about as deep as it is broad.
+What lies there was seen from the front, or in part behind what stands beside it. Its footprint is completed along the
+depth of what houses it, or along its own shorter side, within its house and as far as space was not seen to be free,
+until it is about as deep as it is broad.
 """
 
 from __future__ import annotations
@@ -24,9 +25,14 @@ STRAY_SHARE = 0.02
 """Share of the points that may lie beyond either end along the axes of the box: what bled onto the shelf."""
 SQUARE = 0.85
 """A thing is taken to be so deep as compared with its breadth, where its depth was not seen."""
-HIDDEN_SHARE = 0.7
+SLENDER = 0.6
+"""What is thinner than this, as compared with its breadth, goes into the depth of its house, as books do; of what is
+not, the shorter side is the one that was not seen whole."""
+HIDDEN_SHARE = 0.5
+HIDDEN_BESIDE_SHARE = 0.7
 WITHIN_SHARE = 0.6
-"""It goes on where this share of its next slice was not seen to be free, and this share lies within the box."""
+"""It goes on where this share of its next slice was not seen to be free, into the depth or along the house, where
+neighbours hide it as well; and where this share lies within the box."""
 SLICE_SAMPLES = (5, 4)
 """Points of a slice across and up."""
 MARGIN_M = 0.02
@@ -66,11 +72,16 @@ def completed(mine: Shape, house: Box, seen_free: Callable[[Array], Array]) -> A
     low, high = np.quantile(local, [STRAY_SHARE, 1.0 - STRAY_SHARE], axis=0)
     kept = ((local >= low) & (local <= high)).all(axis=1)
     hull: Array = kernels.convex_hull(ground[kept])
-    side = int(np.argmax(np.abs(turn @ house.rotation[:2, 1])))  # along the shorter side of its house: its depth
-    missing = min(SQUARE * float((high - low)[1 - side]) - float((high - low)[side]), DEEPEST_M)
+    extent = high - low
+    depth = int(np.argmax(np.abs(turn @ house.rotation[:2, 1])))  # along the shorter side of its house
+    side = depth if extent.min() < SLENDER * extent.max() else int(extent.argmin())
+    missing = min(SQUARE * float(extent[1 - side]) - float(extent[side]), DEEPEST_M)
     if missing < mine.voxel_size_m:
         return hull
-    before, after = (_hidden_depth(mine, house, seen_free, turn, low, high, side, up, missing) for up in (False, True))
+    enough = HIDDEN_SHARE if side == depth else HIDDEN_BESIDE_SHARE
+    before, after = (
+        _hidden_depth(mine, house, seen_free, turn, low, high, side, up, missing, enough) for up in (False, True)
+    )
     half = 0.5 * missing
     low[side] -= min(before, max(half, missing - after))
     high[side] += min(after, max(half, missing - before))
@@ -80,10 +91,10 @@ def completed(mine: Shape, house: Box, seen_free: Callable[[Array], Array]) -> A
 
 def _hidden_depth(
     mine: Shape, house: Box, seen_free: Callable[[Array], Array], turn: Array, low: Array, high: Array, side: int,
-    up: bool, most: float,
+    up: bool, most: float, enough: float,
 ) -> float:  # fmt: skip
     """How far [m], up to `most`, slices beyond one end of a thing's rectangle lie in its house and were not seen to be
-    free."""
+    free by `enough` of their points."""
     step = mine.voxel_size_m
     depths = step * (1 + np.arange(int(np.ceil(most / step - 1e-9))))
     across = np.linspace(low[1 - side] + 0.5 * step, high[1 - side] - 0.5 * step, SLICE_SAMPLES[0])
@@ -94,6 +105,6 @@ def _hidden_depth(
     local[:, side] = high[side] + d.ravel() if up else low[side] - d.ravel()
     local[:, 1 - side] = a.ravel()
     at = np.column_stack([local @ turn, z.ravel()])
-    hidden = (~seen_free(at)).reshape(len(depths), -1).mean(axis=1) >= HIDDEN_SHARE
+    hidden = (~seen_free(at)).reshape(len(depths), -1).mean(axis=1) >= enough
     hidden &= house.contains(at, 0.0).reshape(len(depths), -1).mean(axis=1) >= WITHIN_SHARE
     return min(most, step * float(np.logical_and.accumulate(hidden).sum()))

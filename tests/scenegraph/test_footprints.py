@@ -54,6 +54,20 @@ def test_it_ends_where_space_was_seen_to_be_free_and_where_the_shelf_ends() -> N
     assert size(everywhere)[1] == pytest.approx(0.02, abs=0.01), "nothing is hidden"
 
 
+def test_what_a_neighbour_hides_in_part_gets_broader_and_a_book_does_not() -> None:
+    """Both were seen as deep as they are; on one side space was seen to be free, on the other a neighbour hides it."""
+
+    def neighbour(points: np.ndarray) -> np.ndarray:
+        return (points[:, 0] < 0.05) | (np.abs(points[:, 1]) > 0.12)
+
+    half = placed(surface(((0.0, 0.0, 0.9), (0.16, 0.24, HEIGHT))), (0.0, 0.0, 0.0))
+    hull = completed(half, SHELF, neighbour)
+    assert size(hull) == pytest.approx([SQUARE * 0.24, 0.24], abs=0.03)
+    assert hull[:, 0].min() == pytest.approx(-0.08, abs=0.02), "not where space was seen to be free"
+    book = placed(surface(((0.0, 0.0, 0.9), (0.08, 0.24, HEIGHT))), (0.0, 0.0, 0.0))
+    assert size(completed(book, SHELF, neighbour)) == pytest.approx([0.08, 0.24], abs=0.02)
+
+
 def test_what_was_seen_on_all_sides_stays_as_it_is_but_for_strays() -> None:
     crate = surface(((0.0, 0.0, 0.9), (BREADTH, 0.28, HEIGHT)))
     stray = np.array([[0.0, 0.6, 0.9], [0.02, 0.62, 0.9]])
