@@ -116,8 +116,9 @@ class Meaning:
         touched: what may have new edges, beside the things that were found to rest on, or to be held by, something else
         seen: the things in view of an observation; None: an operator's word, against which no doubt is due
         """
-        nodes = {step.id: step for step in changes.steps if isinstance(step, Node)}
-        gone = {step.id for step in changes.steps if isinstance(step, NodeDeletion)}
+        last = {step.id: step for step in changes.steps if isinstance(step, Node | NodeDeletion)}
+        nodes = {node_id: step for node_id, step in last.items() if isinstance(step, Node)}
+        gone = last.keys() - nodes.keys()
         put, deleted = facts.measurement_facts(measured)
         for node in nodes.values():
             fresh = frozenset(facts.node_facts(node))

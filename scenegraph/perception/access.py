@@ -169,7 +169,7 @@ class Access:
         lengths = {
             name: _lengths(ground, at, max(0.0, radius) / cell_m) * cell_m
             for name, ground, radius in (
-                ("way_upper", surely, body.radius_m),
+                ("way_upper", surely, body.radius_m - 0.5 * cell_m),  # its middle need not be the middle of a cell
                 ("way_lower", perhaps, body.radius_m - self._occupancy.voxel_size_m),
             )
         }

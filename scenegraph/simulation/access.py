@@ -135,8 +135,8 @@ class TrueAccess:
         found = set()
         for door in self._home.doors:
             doorway, along, middle = self._doorway(door)
-            for thing in self._home.placed:
-                solids = thing.solids
+            for thing, placed in zip(self._home.objects, self._home.placed, strict=True):
+                solids = placed.solids
                 in_way = solids.outlines[(solids.lows < robot.height_m) & (solids.highs > OVER_M)]
                 inside = shapely.intersection(in_way, doorway)
                 if not shapely.area(inside).sum() > 0.0:

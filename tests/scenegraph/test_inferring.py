@@ -53,3 +53,26 @@ def test_what_rests_or_is_held_elsewhere_has_its_edges_when_only_its_neighbours_
         graph.commit(follow, stamp)
         _, derived = knowledge.derived_edges(list(HOLDERS))
         assert {tuple(edge.key) for edge in graph.edges()} == {(e.relation, e.source, e.target) for e in derived}
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(looks=st.lists(st.lists(st.tuples(st.sampled_from(THINGS), st.booleans()), max_size=5), min_size=1, max_size=4))
+def test_the_rules_know_the_nodes_of_the_graph_whatever_comes_and_goes_at_once(
+    knowledge: KnowledgeBase, looks: list[list[tuple[str, bool]]]
+) -> None:
+    """What a look puts and deletes, in any order: what one part of the mapping found another may have taken over."""
+    knowledge.update(forget=HOLDERS)
+    meaning, graph = Meaning(knowledge, WorldConfig()), SceneGraph()
+    for stamp, look in enumerate(looks):
+        changes, there = GraphChanges(), {node.id for node in graph.nodes()}
+        for name, comes in look:
+            if comes:
+                changes.put(Node(id=name, layer="object", label=name, position=(0.0, 0.0, float(stamp)), **TIMES))
+                there.add(name)
+            elif name in there:
+                changes.delete_node(name, "gone")
+                there.discard(name)
+        meaning.infer(changes, MeasurementChange(), HOLDERS, graph, "test", stamp)
+        graph.commit(changes, stamp)
+        known = {str(row["X"]): row["Z"] for row in knowledge.call("node(X, object), position(X, _, _, Z)")}
+        assert known == {node.id: node.position[2] for node in graph.nodes()}

@@ -10,6 +10,7 @@ import pytest
 
 from scenegraph.simulation.access import DOORWAY_DEEP_M, Disc, TrueAccess
 from scenegraph.simulation.arrangement import Placed
+from scenegraph.simulation.assembling import assemble
 from scenegraph.simulation.shapes import Shape
 from tests.support.homes import home
 
@@ -68,11 +69,13 @@ def test_a_crate_in_a_doorway_blocks_it_for_whom_it_leaves_no_passage(aside, rad
     door = next(d for d in h.doors if d.kind == "doorway")
     at = h.T_map_home.inverse() @ (door.center + aside * door.normal)
     half = door.width / 2 - 0.1
-    crate = Shape("crate").box((-half, half), (-half, half), (0.0, 0.4)).model()
-    placed = Placed("crate_1", crate, (float(at[0]), float(at[1]), 0.0), 0.0, door.rooms[0])
+    crate = Shape("box").box((-half, half), (-half, half), (0.0, 0.4)).model()
+    placed = [*h.placed, Placed("crate", crate, (float(at[0]), float(at[1]), 0.0), 0.0, door.rooms[0])]
+    names = {p.id: o.id for p, o in zip(h.placed, h.objects, strict=True)} | {"crate": "box_99"}
     assert aside == 0.0 or aside > half + DOORWAY_DEEP_M
-    found = TrueAccess(replace(h, placed=(*h.placed, placed))).blocks(Disc(radius, 1.4, 0.8))
-    assert (("crate_1", door.id) in found) == blocked
+    crowded = assemble(h.seed, h.yaw, h.T_map_home, h.plan, placed, h.tints, names)
+    found = TrueAccess(crowded).blocks(Disc(radius, 1.4, 0.8))
+    assert found == ({("box_99", door.id)} if blocked else set())
 
 
 def test_nothing_blocks_the_doors_of_a_home_for_the_robot_that_toured_it():
