@@ -503,11 +503,12 @@ def extract_planes(
 
 
 def _by_block(points: Array, normals: Array, block_of_point: Array) -> tuple[Array, Array, Array]:
-    """Points and normals (N, 3) as float32, and the block (N,) of each, by ascending block."""
-    order = np.argsort(block_of_point, kind="stable")
-    points = np.ascontiguousarray(points[order], dtype=np.float32)
-    normals = np.ascontiguousarray(normals[order], dtype=np.float32)
-    return points, normals, np.asarray(block_of_point)[order]
+    """Copies of points and normals (N, 3) as float32, and the block (N,) of each, by ascending block."""
+    owner = np.asarray(block_of_point)
+    if (owner[1:] < owner[:-1]).any():
+        order = np.argsort(owner, kind="stable")
+        points, normals, owner = points[order], normals[order], owner[order]
+    return np.array(points, np.float32, order="C"), np.array(normals, np.float32, order="C"), owner
 
 
 _NEIGHBOURS = 16

@@ -232,7 +232,7 @@ class TsdfMap(BlockLayer):
         """
         blocks = as_blocks(self.block_ijk if block_ijk is None else block_ijk)
         fields = self.store.fields
-        parts = []
+        points, normals = [np.empty((0, 3), np.float32)], [np.empty((0, 3), np.float32)]
         counts = np.empty(len(blocks), np.int64)
         samples = self._samples
         for first in range(0, len(blocks), _CHUNK):
@@ -241,10 +241,11 @@ class TsdfMap(BlockLayer):
                 self.store.table, fields["distance"], fields["weight"], self.voxel_size_m, self.max_jump_m,
                 blocks[chunk], samples, counts[chunk],
             )  # fmt: skip
-            of_chunk = counts[chunk]
-            parts.append(samples[: len(of_chunk)][np.arange(BLOCK_VOXELS) < of_chunk[:, None]])
-        found = np.concatenate(parts) if parts else np.empty((0, 6), np.float32)
-        return found[:, :3].copy(), found[:, 3:].copy(), np.repeat(np.arange(len(blocks)), counts)
+            places, directions = np.empty((2, int(counts[chunk].sum()), 3), np.float32)
+            surface.gather_samples(samples, counts[chunk], places, directions)
+            points.append(places)
+            normals.append(directions)
+        return np.concatenate(points), np.concatenate(normals), np.repeat(np.arange(len(blocks)), counts)
 
     @property
     def max_jump_m(self) -> float:

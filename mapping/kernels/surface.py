@@ -102,6 +102,18 @@ def sample_surface(
 
 
 @njit(cache=True)
+def gather_samples(samples: Array, counts: Array, points: Array, normals: Array) -> None:
+    """Put the first counts (n,) of the samples (n, 512, 6) of each block one behind the other: fills points and normals
+    (N, 3) float32."""
+    row = 0
+    for n in range(counts.shape[0]):
+        for k in range(counts[n]):
+            for a in range(3):
+                points[row, a], normals[row, a] = samples[n, k, a], samples[n, k, a + 3]
+            row += 1
+
+
+@njit(cache=True)
 def slope(before: Float, here: Float, after: Float, max_jump: Float) -> Float:
     """Derivative a voxel from those of two neighbours that are known and not across an edge; 0 when none is."""
     total = 0.0
