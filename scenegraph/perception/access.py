@@ -217,33 +217,41 @@ class Access:
 
     # -- doors --------------------------------------------------------------------------------------------
     def _blocked(self, door: Node) -> dict[tuple[str, ...], float]:
-        """The widest part of a door's opening that each thing in it leaves clear [m]."""
-        width = max((float(edge.value or 0.0) for edge in self._graph.edges("connects", source=door.id)), default=0.0)
-        along = self._along(door)
+        """The widest part of a door's opening that each thing in it leaves clear [m].
+
+        The opening is where the way through it is: the leaf of a door ajar stands beside that.
+        """
+        edges = self._graph.edges("connects", source=door.id)
+        width = max((float(edge.value or 0.0) for edge in edges), default=0.0)
+        middle = next((np.array(e.attributes["at"]) for e in edges if "at" in e.attributes), door.position[:2])
+        along = self._along(door, middle)
         if along is None or width <= 0.0:
             return {}
         across = np.array([-along[1], along[0]])
         corners = [
             u * 0.5 * width * along + v * DOORWAY_DEEP_M * across for u, v in ((1, 1), (-1, 1), (-1, -1), (1, -1))
         ]
-        doorway = shapely.Polygon(door.position[:2] + np.array(corners))
+        doorway = shapely.Polygon(middle + np.array(corners))
+        floor = self._building.floor_below(*middle.tolist(), float(door.position[2]))
+        if floor is None:
+            return {}
         found: dict[tuple[str, ...], float] = {}
         for thing, shape in self._shapes.items():
             if thing == door.id or self._graph.node(thing).layer != "object" or len(shape.hull) < 3:
                 continue
-            floor = self._building.floor_below(*door.position.tolist())
-            if floor is None or not floor[1] + FLOOR_BAND_M[1] < shape.highest or shape.lowest > floor[1] + EYE_M:
+            if not floor[1] + FLOOR_BAND_M[1] < shape.highest or shape.lowest > floor[1] + EYE_M:
                 continue
             inside = shapely.Polygon(shape.hull).intersection(doorway)
             if inside.is_empty or not inside.area:
                 continue
-            at = (shapely.get_coordinates(inside) - door.position[:2]) @ along
+            at = (shapely.get_coordinates(inside) - middle) @ along
             found["clear_width", thing, door.id] = float(max(at.min() + 0.5 * width, 0.5 * width - at.max()))
         return found
 
-    def _along(self, door: Node) -> Array | None:
-        """The direction (2,) along the wall that a door is in, else along its leaf."""
-        at = np.array([*door.position[:2], door.position[2]])
+    def _along(self, door: Node, middle: Array) -> Array | None:
+        """The direction (2,) along the wall that a door with its opening at `middle` (2,) is in, else along its
+        leaf."""
+        at = np.array([*middle, door.position[2]])
         walls = self._building.walls_beside(at - ALONG_WALL_M, at + ALONG_WALL_M)
         near = sorted((abs(float(at[:2] @ wall.normal - wall.offset)), wall.node) for wall in walls)
         if near and near[0][0] <= ALONG_WALL_M:

@@ -85,16 +85,19 @@ def test_what_is_too_far_to_look_for_a_way_is_not_known_to_be_out_of_reach(copy_
 @settings(max_examples=40, deadline=None)
 @given(
     width=st.floats(0.6, 2.0), aside=st.floats(-1.5, 1.5), wide=st.floats(0.1, 0.8),
-    before=st.sampled_from([0.0, 0.2, 1.0]), over=st.sampled_from([0.0, 1.5]),
+    before=st.sampled_from([0.0, 0.2, 1.0]), over=st.sampled_from([0.0, 1.5]), ajar=st.booleans(),
 )  # fmt: skip
 def test_what_stands_in_a_door_leaves_the_wider_part_beside_it(
-    width: float, aside: float, wide: float, before: float, over: float
+    width: float, aside: float, wide: float, before: float, over: float, ajar: bool
 ) -> None:
+    """Also where the node of the door is its leaf, which stands ajar beside the opening."""
     graph, changes = SceneGraph(), GraphChanges()
     times = {"first_seen_ns": 0, "last_seen_ns": 0}
     for name, layer in (("door", "structure"), ("room_1", "room"), ("crate_1", "object")):
-        changes.put(Node(id=name, layer=layer, label=name, position=(0.0, 0.0, 1.0), **times))
-    changes.put(Edge(relation="connects", source="door", target="room_1", value=width, **times))
+        at = (width / 2, width / 2, 1.0) if name == "door" and ajar else (0.0, 0.0, 1.0)
+        changes.put(Node(id=name, layer=layer, label=name, position=at, **times))
+    way = {"at": [0.0, 0.0]} if ajar else {}
+    changes.put(Edge(relation="connects", source="door", target="room_1", value=width, attributes=way, **times))
     graph.commit(changes, 0)
     shapes = {"crate_1": thing(box((wide, 0.2, 0.4)), at=(aside, before, over))}
     walls = Plan(walls=[(-3.0, 0.0, 3.0, 0.0)])
