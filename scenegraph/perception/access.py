@@ -232,7 +232,7 @@ class Access:
             u * 0.5 * width * along + v * DOORWAY_DEEP_M * across for u, v in ((1, 1), (-1, 1), (-1, -1), (1, -1))
         ]
         doorway = shapely.Polygon(middle + np.array(corners))
-        floor = self._building.floor_below(*middle.tolist(), float(door.position[2]))
+        floor = self._building.floor_below(float(middle[0]), float(middle[1]), float(door.position[2]))
         if floor is None:
             return {}
         found: dict[tuple[str, ...], float] = {}
