@@ -54,7 +54,9 @@ DOUBTS_A_VIEW = 1
 not seen."""
 MERGE_VIEWS = 2
 MERGE_VIEWS_OTHER_CLASS = 3
-"""One mask covers two instances in so many views, net of views in which both had masks of their own: they are one."""
+"""One mask covers two instances in so many views, net of views in which both had masks of their own: they are one. Of
+two classes it must cover the other as often as that had a mask of its own: a book is no part of a shelf when its mask
+is missing now and then."""
 APART_VIEWS = 5
 """No more such views than these are held against two instances being one."""
 SPLIT_VIEWS = 3
@@ -307,14 +309,16 @@ class InstanceMap(PackedLayer):
         return int(free[0]) + 1
 
     def _merge(self, together: list[tuple[int, int]]) -> dict[int, int]:
+        """Join pairs of an instance with a mask and one that it covers; returns lost id → kept id."""
         merged: dict[int, int] = {}
         for one, other in together:
             pair = (min(one, other), max(one, other))
             self._together[pair] += 1
             if pair[0] not in self.instances or pair[1] not in self.instances or self.replaced(*pair):
                 continue
-            same = self.instances[pair[0]].label == self.instances[pair[1]].label
-            if self._together[pair] >= (MERGE_VIEWS if same else MERGE_VIEWS_OTHER_CLASS):
+            same = self.instances[one].label == self.instances[other].label
+            own_views = self.instances[other].views
+            if self._together[pair] >= (MERGE_VIEWS if same else max(MERGE_VIEWS_OTHER_CLASS, own_views)):
                 self._absorb(*pair)
                 merged[pair[1]] = pair[0]
         return merged

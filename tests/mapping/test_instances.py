@@ -129,6 +129,22 @@ def test_fragments_become_one_when_a_mask_covers_both(first: float) -> None:
     assert world.map.instances[1].first_seen_ns == 1
 
 
+@pytest.mark.parametrize("own", [3, 5, 8])
+def test_what_was_seen_itself_more_often_is_no_part_of_what_covers_it(own: int) -> None:
+    """A book on a bench whose mask is missing now and then, so that the mask of the bench lies on it too."""
+    book = Block("book", (0.4, 0.0, 0.34), (0.29, 0.29, 0.1), 2)
+    world = Watching(box("bench", 0.0, 0.0, 1, (1.6, 0.4, 0.29)), book)
+    eye = (0.0, -1.8, 1.4)
+    for _ in range(own):
+        world.look(eye)
+    known = world.at(0.4, 0.0, 0.389)
+    assert len(world.ids) == 2
+    for _ in range(own - 1):
+        world.look(eye, masks={2: 1}, rename={2: "bench"})
+    assert not world.merged
+    assert world.at(0.4, 0.0, 0.389) == known
+
+
 def test_missed_masks_cost_nothing() -> None:
     world = Watching(box("crate", 0.0, 0.0, 1))
     world.around(4)
