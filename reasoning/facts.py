@@ -6,7 +6,7 @@ The engine's process may be killed; what it knew is kept here, one line a fact, 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Final
 
 from reasoning.errors import InvalidFact
@@ -57,6 +57,8 @@ class FactStore:
     def __init__(self) -> None:
         self._lines: dict[Key, str] = {}
         self._about: dict[str, set[Key]] = {}
+        self.follower: Callable[[Key, str], None] | None = None
+        """Is told of each fact that comes or goes, by its key and text."""
 
     def __len__(self) -> int:
         return len(self._lines)
@@ -88,6 +90,9 @@ class FactStore:
             if before == text:
                 continue
             lines.append(f"add({text})." if before is None else f"put({text}).")
+            if before is not None:
+                self._tell(key, before)
+            self._tell(key, text)
             self._lines[key] = text
             for node in about:
                 self._about.setdefault(node, set()).add(key)
@@ -97,8 +102,14 @@ class FactStore:
         """All facts, as the text of one change to an empty world."""
         return "\n".join([f"add({text})." for text in self._lines.values()])
 
+    def _tell(self, key: Key, text: str) -> None:
+        if self.follower is not None:
+            self.follower(key, text)
+
     def _drop(self, key: Key) -> None:
-        self._lines.pop(key, None)
+        before = self._lines.pop(key, None)
+        if before is not None:
+            self._tell(key, before)
         for index in _IDS.get((key[0], int(key[1])), ()):
             keys = self._about.get(key[2 + index])
             if keys is not None:

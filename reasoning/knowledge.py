@@ -12,6 +12,7 @@ from reasoning.engine import Engine
 from reasoning.errors import GoalFailed
 from reasoning.facts import FactStore
 from reasoning.terms import Atom, Compound, Term, Var, term_text
+from reasoning.watching import Question, Watching
 
 __all__ = ["DerivedEdge", "Explanation", "KnowledgeBase", "Phrase", "Problem", "Reply", "Test"]
 
@@ -162,6 +163,7 @@ class KnowledgeBase:
     def __init__(self, rule_files: Sequence[Path | str] = ()) -> None:
         self._facts = FactStore()
         self._engine = Engine(rule_files, remembered=self._facts.text)
+        self._watching = Watching(self._engine, self._facts, _reply)
 
     def __enter__(self) -> KnowledgeBase:
         return self
@@ -219,18 +221,16 @@ class KnowledgeBase:
         )
         result = self._engine.request(Compound("ask", (options,)), goal, timeout_s=timeout_s)
         elapsed_ms = (time.perf_counter() - started) * 1e3
-        if _is(result, "problem"):
-            return Reply("unknown", problem=_problem(result), elapsed_ms=elapsed_ms)
-        truth, names, rows, truncated, trouble, reasons = cast(Compound, result).args
-        children = tuple([_explanation(reason) for reason in cast(list[Term], reasons)])
-        return Reply(
-            truth=cast(Truth, str(truth)),
-            answers=_answers(names, rows),
-            truncated=truncated == Atom("true"),
-            problem=_problem(trouble) if _is(trouble, "problem") else None,
-            explanation=_joined(goal, cast(Truth, str(truth)), children) if explain else None,
-            elapsed_ms=elapsed_ms,
-        )
+        return _reply(result, elapsed_ms, goal if explain else None)
+
+    @property
+    def watching(self) -> Watching:
+        """The questions that are kept answered; `refresh` gives `Reply`s."""
+        return self._watching
+
+    def watch(self, goal: str, *, limit: int = 100, timeout_s: float = 1.0, viewer: Viewer = None) -> int:
+        """Keep a goal answered, asked as by `ask`: the number under which `watching` has it."""
+        return self._watching.add(Question(goal, int(limit), float(timeout_s), _viewer(viewer)))
 
     def call(
         self, goal: Compound | Atom | str, *, timeout_s: float = 10.0, limit: int = 1_000_000
@@ -295,6 +295,22 @@ def _is(term: Term, name: str) -> bool:
 def _problem(term: Term) -> Problem:
     code, message, hint = cast(Compound, term).args
     return Problem(str(code), str(message), str(hint) or None)
+
+
+def _reply(result: Term, elapsed_ms: float, explained: str | None = None) -> Reply:
+    """What the engine's result says; `explained`: the goal that was to be explained, None when it was not."""
+    if _is(result, "problem"):
+        return Reply("unknown", problem=_problem(result), elapsed_ms=elapsed_ms)
+    truth, names, rows, truncated, trouble, reasons = cast(Compound, result).args
+    children = tuple([_explanation(reason) for reason in cast(list[Term], reasons)])
+    return Reply(
+        truth=cast(Truth, str(truth)),
+        answers=_answers(names, rows),
+        truncated=truncated == Atom("true"),
+        problem=_problem(trouble) if _is(trouble, "problem") else None,
+        explanation=_joined(explained, cast(Truth, str(truth)), children) if explained is not None else None,
+        elapsed_ms=elapsed_ms,
+    )
 
 
 def _answers(names: Term, rows: Term) -> tuple[dict[str, Term], ...]:

@@ -14,6 +14,7 @@ begins with its name, a list is {"l": [...]}, a variable is {"v": ...}.
 :- use_module(library(time)).
 :- use_module(facts, [update/1]).
 :- use_module(ask).
+:- use_module(watching).
 :- use_module(language).
 :- dynamic load_message/1.
 
@@ -48,6 +49,8 @@ run(update, Payload, updated) :-
                        close(Stream)).
 run(ask(Options), Payload, Reply) :-
     ask(Payload, Options, Reply).
+run(watch(Watches, Seconds), _, Replies) :-
+    ask_noting(Watches, Seconds, Replies).
 run(call(Limit, Seconds), Payload, Reply) :-
     call_trusted(Payload, Limit, Seconds, Reply).
 run(phrase, Payload, Reply) :-

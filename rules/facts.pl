@@ -17,6 +17,7 @@
             parameter/2,                % ?Name, ?Value
             unobserved/1,               % ?Region
             revision/1,                 % -Number
+            new_revision/0,
             update/1,                   % +Stream
             forget_everything/0
           ]).
@@ -103,6 +104,15 @@ current_revision(0).
 revision(Number) :-
     current_revision(Number).
 
+%!  new_revision is det.
+%
+%   What was derived so far is stale.
+
+new_revision :-
+    retract(current_revision(Old)),
+    New is Old+1,
+    assertz(current_revision(New)).
+
 %!  measured(?Name, ?Id, ?Value) is nondet.
 %
 %   True when the measurement Name of thing Id is Value (SI units).
@@ -168,9 +178,7 @@ edge(Relation, A, B, Value, Threshold, Confidence) :-
 %          beyond what stood before it in Stream.
 
 update(Stream) :-
-    retract(current_revision(Old)),
-    New is Old+1,
-    assertz(current_revision(New)),
+    new_revision,
     repeat,
         read_term(Stream, Change, [module(facts)]),
         (   Change == end_of_file

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from typing import Any, cast
 
 from mapping.observations import ClassInfo, RobotDescription
-from reasoning.knowledge import DerivedEdge, KnowledgeBase
+from reasoning.knowledge import DerivedEdge, KnowledgeBase, Reply
 from reasoning.labelling import PlaneFacts, PlaneRelation, PlaneRules
 from reasoning.terms import Atom, Compound, Term, Var
 from scenegraph import facts
@@ -206,6 +206,11 @@ class Meaning:
                 reply = memory.ask(goal, limit=limit, timeout_s=timeout_s, explain=True, viewer=viewer)
             return Answers(reply, past.revision, {n.id: n for n in past.nodes()})
         reply = self.knowledge.ask(goal, limit=limit, timeout_s=timeout_s, explain=True, viewer=viewer)
+        return self.answers(reply, graph)
+
+    @staticmethod
+    def answers(reply: Reply, graph: SceneGraph) -> Answers:
+        """A reply with the nodes that it names, as they are now."""
         named = {t.name for row in reply.answers for t in row.values() if isinstance(t, Atom)}
         return Answers(reply, graph.revision, {i: graph.node(i) for i in named if i in graph})
 

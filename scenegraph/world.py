@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
@@ -39,6 +40,7 @@ from scenegraph.perception.access import Access, asks_for, outdated
 from scenegraph.perception.perception import Perception
 from scenegraph.places import PlaceFinder
 from scenegraph.realigning import Corrections, Sightings, motions
+from scenegraph.watching import AnswerChange, Watch, Watches
 
 __all__ = ["World"]
 
@@ -70,6 +72,13 @@ class World:
         self._knowledge = KnowledgeBase(self.config.rule_files)
         self.meaning = Meaning(self._knowledge, self.config)
         self.perception = Perception(self.map, self.labels, self.meaning, self.config.robot_radius_m)
+        self.watches = Watches(
+            self._knowledge,
+            ask=lambda asked: self.ask(asked.goal, robot=asked.robot, limit=asked.limit, timeout_s=asked.timeout_s),
+            answers=lambda reply: self.meaning.answers(reply, self.graph),
+            stamp=lambda: self.graph.stamp_ns,
+            on_demand=asks_for,
+        )
         self._asked_for: set[tuple[str, ...]] = set()
         self._desk = DetectionDesk()
         self.T_map_camera: SE3 | None = None
@@ -192,6 +201,8 @@ class World:
         before = {node_id: self.graph.node(node_id) for node_id in touched if node_id in self.graph}
         delta = self.graph.commit(changes, max(stamp_ns, self.graph.stamp_ns))
         self.event_log.add(events_of(delta, before))
+        if self.watches and not self.watches.by_hand:
+            self.watches.refresh()
         return delta
 
     # -- answers out --------------------------------------------------------------------------------------
@@ -206,6 +217,24 @@ class World:
         if at_ns is None and asks_for(goal):
             self._measure_for(goal)
         return self.meaning.ask(goal, self.graph, robot=robot, limit=limit, timeout_s=timeout_s, at_ns=at_ns)
+
+    def watch(
+        self,
+        goal: str,
+        *,
+        robot: str | None = None,
+        limit: int = 100,
+        timeout_s: float = 1.0,
+        on_change: Callable[[AnswerChange], object] | None = None,
+    ) -> Watch:
+        """Keep a goal answered: `with world.watch("near(X, oven)") as changes:`, and `for change in changes:` whenever
+        something was integrated or told. The first change tells the answers that there are.
+
+        on_change : called with each change instead;  robot, limit, timeout_s : as of `ask`
+
+        Raises `GoalRefused` with the problem that asking the goal has.
+        """
+        return self.watches.add(goal, robot, limit, timeout_s, on_change)
 
     def _measure_for(self, goal: str) -> None:
         """Measure what a goal asks for that is not kept: what is seen, reached and blocked."""

@@ -1,0 +1,245 @@
+"""Goals that are kept answered: asked again when a fact changes that was read when they were asked last.
+
+While a watched goal runs the engine notes the facts that are looked up (`rules/watching.pl`), each by its predicate and
+one name that was given: an id, a class, a key. So whatever rules stand between a goal and the facts, a change that can
+matter is found by a look at what changed, at a cost that depends on the change and not on how many goals are watched.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple, TypeAlias, cast
+
+from reasoning.engine import Engine
+from reasoning.facts import FactStore, Key
+from reasoning.terms import Atom, Compound, Term, term_text
+
+__all__ = ["Question", "Watching"]
+
+ANY = "'*'"
+"""Stands for a look-up that names nothing: any fact of the predicate can matter."""
+
+BATCH = 256
+BATCH_S = 0.25
+"""Goals are handed over in batches; each is asked for as long, and what is left goes with the next."""
+
+SLOW_S = 0.05
+REST = 10.0
+"""A question that takes longer than SLOW_S may rest for REST times as long before it is asked again."""
+
+UNSETTLED = frozenset({"timeout", "resource_limit"})
+"""Problems of goals that were broken off: what they would have read is not known."""
+
+
+Reads: TypeAlias = list[list[Atom]]
+"""For each predicate its name and the names that it was read with."""
+
+
+class Question(NamedTuple):
+    """What is asked: as in `KnowledgeBase.ask`; viewer is a term, the atom `none` without one."""
+
+    goal: str
+    limit: int
+    timeout_s: float
+    viewer: Term
+
+
+class Watching:
+    """The watched questions of one knowledge base, numbered. Not thread-safe.
+
+    reply_of : makes of the engine's result and the time it took [ms] what `refresh` gives
+    """
+
+    def __init__(self, engine: Engine, facts: FactStore, reply_of: Callable[[Term, float], Any]) -> None:
+        self._engine = engine
+        self._facts = facts
+        self._reply_of = reply_of
+        self._questions: dict[int, Question] = {}
+        self._reads = _Reads()
+        self._pending: dict[int, None] = {}
+        self._rests_until: dict[int, float] = {}
+        self._unsettled: set[int] = set()
+        self._measurements: set[str] = set()
+        self._next = 1
+
+    def __len__(self) -> int:
+        return len(self._questions)
+
+    def add(self, question: Question) -> int:
+        """Watch a question; its first answers come with the next `refresh`."""
+        number = self._next
+        self._next += 1
+        self._questions[number] = question
+        self._pending[number] = None
+        self._facts.follower = self._changed
+        return number
+
+    def remove(self, number: int) -> None:
+        """Watch it no longer. Does nothing when it is not watched."""
+        if self._questions.pop(number, None) is not None:
+            self._reads.forget(number)
+            self._pending.pop(number, None)
+            self._rests_until.pop(number, None)
+            self._unsettled.discard(number)
+        if not self._questions:
+            self._facts.follower = None
+
+    @property
+    def pending(self) -> list[int]:
+        """The questions that a change may have given other answers, the one that waits longest first."""
+        return list(self._pending)
+
+    def touch(self, numbers: Iterable[int] | None = None) -> None:
+        """Have questions asked again whatever changed; None: all, since rules have changed."""
+        wanted = self._questions if numbers is None else numbers
+        self._pending.update((number, None) for number in wanted if number in self._questions)
+
+    def refresh(self, *, budget_s: float = math.inf, resting: bool = True) -> Iterator[tuple[int, Any]]:
+        """Ask pending questions again until the budget is spent: their numbers and replies.
+
+        resting : whether slow questions, which rest after they were asked, are asked all the same
+        """
+        until = time.monotonic() + budget_s
+        while waiting := self._due(resting)[:BATCH]:
+            left = min(BATCH_S, until - time.monotonic())
+            if left <= 0.0:
+                return
+            for asked in self._asked(waiting, left):
+                yield self._settle(*asked)
+
+    def ask(self, number: int) -> Any:
+        """Ask one watched question now, pending or not: its reply."""
+        self._pending[number] = None
+        [asked] = self._asked([number], 0.0)
+        return self._settle(*asked)[1]
+
+    # -- asking -------------------------------------------------------------------------------------------
+    def _due(self, resting: bool) -> list[int]:
+        if resting or not self._rests_until:
+            return self.pending
+        now = time.monotonic()
+        return [number for number in self._pending if self._rests_until.get(number, 0.0) <= now]
+
+    def _asked(self, batch: list[int], seconds: float) -> list[tuple[int, Term, float, Reads | None]]:
+        """Results, times [s] and what was read for the first ones of a batch, all if time allows."""
+        watches: list[Any] = [_watch_term(number, self._questions[number]) for number in batch]
+        longest = max(self._questions[number].timeout_s for number in batch)
+        began = time.monotonic()
+        result = self._engine.request(Compound("watch", (watches, seconds)), timeout_s=seconds + longest)
+        if isinstance(result, list):
+            return [cast(Compound, asked).args for asked in result]  # type: ignore[misc]
+        if len(batch) == 1:
+            return [(batch[0], result, time.monotonic() - began, None)]
+        return [asked for number in batch for asked in self._asked([number], 0.0)]
+
+    def _settle(self, number: int, result: Term, took_s: float, reads: Reads | None) -> tuple[int, Any]:
+        del self._pending[number]
+        if took_s > SLOW_S:
+            self._rests_until[number] = time.monotonic() + REST * took_s
+        else:
+            self._rests_until.pop(number, None)
+        if reads is not None:
+            self._reads.put(number, reads)
+        if reads is None or _problem_code(result) in UNSETTLED:
+            self._unsettled.add(number)
+        else:
+            self._unsettled.discard(number)
+        return number, self._reply_of(result, 1e3 * took_s)
+
+    # -- following the facts ------------------------------------------------------------------------------
+    def _changed(self, key: Key, text: str) -> None:
+        name, identity = key[0], key[2:]
+        rest = text[len(name) + 1 + sum(map(len, identity)) + len(identity) : -1]
+        match name:
+            case "measured":
+                name, identity = f"measured_{key[2]}", key[3:]
+                if key[2] not in self._measurements:
+                    self._measurements.add(key[2])
+                    self._touched("store", (key[2],))
+            case "edge":
+                name = "stored_edge"
+            case "name":
+                name = "named"
+            case "label" | "node" | "attribute":
+                identity = (*identity, rest)
+            case "class_info":
+                identity = (*identity, rest.partition(",")[2])
+        self._touched(name, identity)
+        self._pending.update(dict.fromkeys(self._unsettled))
+
+    def _touched(self, predicate: str, names: tuple[str, ...]) -> None:
+        self._pending.update(dict.fromkeys(self._reads.of(predicate, names)))
+
+
+class _Reads:
+    """Which questions read what: by name, then question, the predicates as bits."""
+
+    def __init__(self) -> None:
+        self._bits: dict[str, int] = {}
+        self._by_name: dict[str, dict[int, int]] = {}
+        self._names: dict[int, set[str]] = {}
+
+    def put(self, number: int, reads: Reads) -> None:
+        """Take down what a question read, in the place of what it read before."""
+        found: dict[str, int] = {}
+        for predicate, *names in reads:
+            bit = self._bit(str(predicate))
+            for name in map(term_text, names):
+                found[name] = found.get(name, 0) | bit
+        for name in self._names.get(number, set()) - found.keys():
+            self._drop(name, number)
+        for name, bits in found.items():
+            self._by_name.setdefault(name, {})[number] = bits
+        self._names[number] = set(found)
+
+    def forget(self, number: int) -> None:
+        """A question is watched no longer."""
+        for name in self._names.pop(number, ()):
+            self._drop(name, number)
+
+    def of(self, predicate: str, names: tuple[str, ...]) -> list[int]:
+        """The questions that read facts of the predicate with one of the names, or with any."""
+        bit = self._bit(predicate)
+        return [
+            number
+            for name in (*names, ANY)
+            for number, bits in self._by_name.get(name, _NOBODY).items()
+            if bits & bit
+        ]  # fmt: skip
+
+    def _bit(self, predicate: str) -> int:
+        return self._bits.setdefault(predicate, 1 << len(self._bits))
+
+    def _drop(self, name: str, number: int) -> None:
+        readers = self._by_name[name]
+        del readers[number]
+        if not readers:
+            del self._by_name[name]
+
+
+_NOBODY: dict[int, int] = {}
+
+
+def _watch_term(number: int, question: Question) -> Compound:
+    options = (
+        question.limit,
+        question.timeout_s,
+        int(question.timeout_s * _INFERENCES_PER_SECOND),
+        Atom("false"),
+        question.viewer,
+    )
+    return Compound("watch", (number, question.goal, Compound("options", options)))
+
+
+def _problem_code(result: Term) -> str | None:
+    """The code of the problem that a result is or has."""
+    trouble = cast(Compound, result)
+    if trouble.name == "reply":
+        trouble = cast(Compound, trouble.args[4])
+    return str(trouble.args[0]) if isinstance(trouble, Compound) else None
+
+
+_INFERENCES_PER_SECOND = 150_000_000
+"""Noting costs steps, too: three times what a goal may take that is only asked."""
