@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
@@ -128,16 +128,19 @@ class Reply:
 class Phrase:
     """What a phrase means.
 
-    kind      : "thing": the goal finds what is meant; "place": it finds the landmarks, and `relation` leads from there
+    kind      : "thing": the goal finds what is meant; "place": it finds the landmarks, and `relation` leads from there;
+                "question": the goal is answered by a number, a value, or yes and no
     relation  : for a place: near, in, on, under, above, behind, in_front_of, left_of, right_of, next_to, between
-    variables : the names of the sought variables in `goal` (two landmarks for `between`)
+    variables : the names of the sought variables in `goal` (two landmarks for `between`; none for yes and no)
+    definite  : the variables that were called by "the", with their nouns: when one has several values, ask back
     goal      : a goal for `KnowledgeBase.ask`
     problem   : None, or which word was not understood
     """
 
-    kind: Literal["thing", "place"]
+    kind: Literal["thing", "place", "question"]
     goal: str
     variables: tuple[str, ...] = ()
+    definite: Mapping[str, str] = field(default_factory=dict)
     relation: str | None = None
     problem: Problem | None = None
 
@@ -272,11 +275,12 @@ class KnowledgeBase:
         result = self._engine.request(Atom("phrase"), text, timeout_s=1.0)
         if _is(result, "problem"):
             return Phrase("thing", "", problem=_problem(result))
-        kind, relation, names, goal = cast(Compound, result).args
+        kind, relation, names, goal, definite = cast(Compound, result).args
         return Phrase(
-            kind=cast(Literal["thing", "place"], str(kind)),
+            kind=cast(Literal["thing", "place", "question"], str(kind)),
             goal=str(goal),
             variables=tuple([str(name) for name in cast(list[Term], names)]),
+            definite={str(the.args[0]): str(the.args[1]) for the in cast(list[Compound], definite)},
             relation=None if relation == Atom("none") else str(relation),
         )
 

@@ -5,7 +5,8 @@
             can/4,                      % ?Word, ?Thing, -Truth, -Tests
             capability/1,               % ?Word
             typical_weight/3,           % ?Class, -Least, -Most
-            assumed/4                     % ?Name, -Value, ?Unit, ?Reason
+            asking/1,                   % -Robot
+            assumed/4                   % ?Name, -Value, ?Unit, ?Reason
           ]).
 :- use_module(library(lists)).
 :- use_module(facts).
@@ -237,7 +238,10 @@ can(fits_through, Door, Truth, [test(clear_width, Width, >, robot_width, Needed)
     ;   Truth = unknown
     ).
 
-%   asking(-Robot): the robot that asks; of several, when none does, nobody's word counts.
+%!  asking(-Robot) is semidet.
+%
+%   The robot that asks; when none does, the only one there is.
+
 asking(Robot) :-
     viewer(Viewer),
     atom(Viewer),

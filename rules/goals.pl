@@ -301,7 +301,8 @@ fits(Kind, Argument) :-
     atom(Argument).
 
 known(class, Class) :- !,
-    ( known_class(Class) -> true ; findall(C, known_class(C), Names), unknown_name(Class, Names) ).
+    ( known_class(Class) -> true ; once(instance_of(_, Class)) -> true
+    ; findall(C, known_class(C), Names), unknown_name(Class, Names) ).
 known(key, Key) :- !,
     ( attribute(_, Key, _) -> true ; findall(K, known_key(K), Names), memberchk(Key, Names) -> true
     ; findall(K, known_key(K), Names), unknown_name(Key, Names) ).

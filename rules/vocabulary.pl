@@ -17,7 +17,7 @@
             color/2, size/2, volume/2, height/2, width/2, depth/2, area/2,
             nearest/3, farthest/3, largest/2, smallest/2, tallest/2, latest/2,
             graspable/1, openable/1, container/1, surface/1, sittable/1, powered/1, pourable/1, movable/1,
-            can_reach/1, can_carry/1, fits_through/1,
+            can_reach/1, can_carry/1, fits_through/1, asker/1,
             place_setting/3, workplace/3
           ]).
 :- use_module(library(lists)).
@@ -334,6 +334,7 @@ signature(movable(thing), "it is no fixture: it can be carried or shoved elsewhe
 signature(can_reach(thing), "the robot that asks finds a way to where it can reach it").
 signature(can_carry(thing), "the robot that asks can carry it: no fixture, and light enough").
 signature(fits_through(thing), "the robot that asks fits through this door or opening").
+signature(asker(thing), "the robot that asks").
 
 graspable(A) :- affords(graspable, A, true, _).
 openable(A) :- affords(openable, A, true, _).
@@ -346,6 +347,7 @@ movable(A) :- affords(movable, A, true, _).
 can_reach(A) :- can(can_reach, A, true, _).
 can_carry(A) :- can(can_carry, A, true, _).
 fits_through(A) :- can(fits_through, A, true, _).
+asker(Robot) :- asking(Robot).
 
                 /*******************************
                 *            GROUPS            *

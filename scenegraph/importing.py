@@ -6,9 +6,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from reasoning.knowledge import KnowledgeBase
+from reasoning.knowledge import KnowledgeBase, Reply
 from reasoning.terms import Atom
-from scenegraph import facts
+from scenegraph import facts, phrases
 from scenegraph.answers import Answers
 from scenegraph.errors import StoreForeign
 from scenegraph.graph import SceneGraph
@@ -50,9 +50,13 @@ class GraphFile:
         return knowledge
 
     def ask(self, goal: str, *, robot: str | None = None, limit: int = 100, timeout_s: float = 1.0) -> Answers:
-        """Ask a goal such as `in(X, room_1)`, as `World.ask`."""
+        """Ask a goal such as `in(X, room_1)`, or a phrase, as `World.ask`."""
         viewer = None if robot is None else f"agent_{robot}"
-        reply = self._knowledge.ask(goal, limit=limit, timeout_s=timeout_s, explain=True, viewer=viewer)
+        phrase = phrases.read(goal, self._knowledge)
+        if phrase.problem is not None:
+            return Answers(Reply("unknown", problem=phrase.problem), self.graph.revision, {})
+        reply = self._knowledge.ask(phrase.goal, limit=limit, timeout_s=timeout_s, explain=True, viewer=viewer)
+        reply = phrases.answered(phrase, reply)
         named = {term.name for row in reply.answers for term in row.values() if isinstance(term, Atom)}
         return Answers(reply, self.graph.revision, {i: self.graph.node(i) for i in named if i in self.graph})
 

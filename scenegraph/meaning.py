@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from typing import Any, cast
 
 from mapping.observations import ClassInfo, RobotDescription
-from reasoning.knowledge import DerivedEdge, KnowledgeBase, Reply
+from reasoning.knowledge import DerivedEdge, KnowledgeBase, Phrase, Reply
 from reasoning.labelling import PlaneFacts, PlaneRelation, PlaneRules
 from reasoning.terms import Atom, Compound, Term, Var
-from scenegraph import facts
+from scenegraph import facts, phrases
 from scenegraph.answers import Answers
 from scenegraph.config import WorldConfig
 from scenegraph.doubts import CONTRARY, Doubts
@@ -189,9 +189,12 @@ class Meaning:
 
     # -- questions ----------------------------------------------------------------------------------------
     def ask(
-        self, goal: str, graph: SceneGraph, *, robot: str | None, limit: int, timeout_s: float, at_ns: int | None
+        self, asked: Phrase, graph: SceneGraph, *, robot: str | None, limit: int, timeout_s: float, at_ns: int | None
     ) -> Answers:
-        """Ask a goal now, or of the graph as it was."""
+        """Ask a goal, or what a phrase means, now, or of the graph as it was."""
+        if asked.problem is not None:
+            return Answers(Reply("unknown", problem=asked.problem), graph.revision, {})
+        goal = asked.goal
         viewer = f"agent_{robot}" if robot is not None else None
         if at_ns is not None:
             past = graph.as_of(at_ns)
@@ -204,9 +207,9 @@ class Meaning:
                     ]
                 )
                 reply = memory.ask(goal, limit=limit, timeout_s=timeout_s, explain=True, viewer=viewer)
-            return Answers(reply, past.revision, {n.id: n for n in past.nodes()})
+            return Answers(phrases.answered(asked, reply), past.revision, {n.id: n for n in past.nodes()})
         reply = self.knowledge.ask(goal, limit=limit, timeout_s=timeout_s, explain=True, viewer=viewer)
-        return self.answers(reply, graph)
+        return self.answers(phrases.answered(asked, reply), graph)
 
     @staticmethod
     def answers(reply: Reply, graph: SceneGraph) -> Answers:

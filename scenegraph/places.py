@@ -19,6 +19,7 @@ from reasoning.knowledge import KnowledgeBase, Phrase, Problem
 from reasoning.terms import Atom, Compound, Var
 from scenegraph.answers import GoalPose, Place, PlaceAnswer, Region
 from scenegraph.graph import Node, SceneGraph
+from scenegraph.phrases import ambiguous
 
 Array: TypeAlias = NDArray[Any]
 
@@ -31,6 +32,7 @@ STAND_OFF_M = 1.2
 WINDOW_M = 8.0
 """Ways are looked for within this distance of robot and goal."""
 MOST_POSES = 5
+MOST_ANSWERS = 20
 BESIDE = frozenset(
     {"near", "next_to", "in_front_of", "behind", "left_of", "right_of", "under", "above", "on", "between"}
 )
@@ -55,33 +57,33 @@ class PlaceFinder:
 
     def find(self, phrase: str, robot: str | None) -> Place:
         """See `World.where`."""
-        goal, variables, relation, problem = self._read(phrase)
-        if problem is not None:
-            return Place("unknown", phrase, problem=problem)
-        reply = self._knowledge.ask(goal, limit=20, timeout_s=1.0, viewer=None if robot is None else f"agent_{robot}")
+        understood = self._read(phrase)
+        if understood.problem is not None:
+            return Place("unknown", phrase, problem=understood.problem)
+        viewer = None if robot is None else f"agent_{robot}"
+        reply = self._knowledge.ask(understood.goal, limit=MOST_ANSWERS, timeout_s=1.0, viewer=viewer)
         if reply.problem is not None:
             return Place("unknown", phrase, problem=reply.problem)
-        answers = []
+        groups = {}
         for row in reply.answers:
-            names = variables or tuple(row)
-            nodes = [
-                self._graph.node(t.name) for n in names if isinstance(t := row.get(n), Atom) and t.name in self._graph
-            ]
-            if nodes:
-                answers.append(self._place(nodes, relation, robot))
+            names = understood.variables or tuple(row)
+            ids = tuple(t.name for n in names if isinstance(t := row.get(n), Atom) and t.name in self._graph)
+            groups[ids] = [self._graph.node(node_id) for node_id in ids]
+        answers = [self._place(nodes, understood.relation, robot) for nodes in groups.values() if nodes]
         answers.sort(key=_rank)
-        definite = phrase.strip().lower().startswith(("the ", "near the ", "in the ", "on the ", "under the "))
-        ambiguous = tuple(a.nodes[0] for a in answers) if definite and len(answers) > 1 else ()
-        return Place(reply.truth, phrase, tuple(answers), ambiguous)
+        several = ambiguous(understood, reply)
+        unclear = next((several[name] for name in (*understood.variables, *several) if name in several), ())
+        return Place(reply.truth, phrase, tuple(answers), unclear)
 
-    def _read(self, phrase: str) -> tuple[str, tuple[str, ...], str | None, Problem | None]:
-        """A goal, the variables it is about, the relation that leads from there to the place, or what is wrong."""
+    def _read(self, phrase: str) -> Phrase:
+        """What is meant: a goal is about all of its variables."""
         if "(" in phrase:
-            return phrase, (), None, None
-        understood: Phrase = self._knowledge.phrase(phrase)
-        if understood.problem is not None:
-            return "", (), None, understood.problem
-        return understood.goal, understood.variables, understood.relation if understood.kind == "place" else None, None
+            return Phrase("thing", phrase)
+        understood = self._knowledge.phrase(phrase)
+        if understood.problem is None and understood.kind == "question":
+            said = "this asks for a number, a value, or yes and no, and not for a place"
+            return Phrase("question", "", problem=Problem("not_a_place", said, "ask it instead"))
+        return understood
 
     # -- regions ------------------------------------------------------------------------------------------
     def _place(self, nodes: Sequence[Node], relation: str | None, robot: str | None) -> PlaceAnswer:

@@ -25,7 +25,7 @@ from mapping.observations import (
     Transform,
 )
 from reasoning.knowledge import KnowledgeBase
-from scenegraph import statements, storing
+from scenegraph import phrases, statements, storing
 from scenegraph.answers import Answers, Place, TellResult
 from scenegraph.collector import collector_paused
 from scenegraph.config import WorldConfig
@@ -209,14 +209,16 @@ class World:
     def ask(
         self, goal: str, *, robot: str | None = None, limit: int = 100, timeout_s: float = 1.0, at_ns: int | None = None
     ) -> Answers:
-        """Ask a goal such as `near(X, oven), on(X, Y)`; a class name stands for any instance.
+        """Ask a goal such as `near(X, oven), on(X, Y)`, where a class name stands for any instance, or a question such
+        as "which cups are on a table?", where what is sought is called `Target`, `Count`, `Metres`, …
 
         robot : whose viewpoint left and right mean;  at_ns : ask the graph as it was then (its edges, not new
         inferences)
         """
-        if at_ns is None and asks_for(goal):
-            self._measure_for(goal)
-        return self.meaning.ask(goal, self.graph, robot=robot, limit=limit, timeout_s=timeout_s, at_ns=at_ns)
+        asked = phrases.read(goal, self._knowledge)
+        if at_ns is None and asks_for(asked.goal):
+            self._measure_for(asked.goal)
+        return self.meaning.ask(asked, self.graph, robot=robot, limit=limit, timeout_s=timeout_s, at_ns=at_ns)
 
     def watch(
         self,

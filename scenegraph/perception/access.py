@@ -28,7 +28,7 @@ from scenegraph.perception.shapes import Shape
 
 Array: TypeAlias = NDArray[Any]
 
-WORDS = frozenset({"visible_from", "reachable", "blocks"})
+WORDS = frozenset({"visible_from", "reachable", "can_reach", "blocks"})
 SIGHT_M = 10.0
 """Farther than this nothing is looked for."""
 SIGHT_RAYS = 48
@@ -90,7 +90,7 @@ class Access:
             viewers = {node.id: node for node in [*agents, *named] if node.layer in ("agent", "place", "object")}
             for viewer in viewers.values():
                 found |= self._sight(viewer)
-        if "reachable" in words:
+        if not words.isdisjoint({"reachable", "can_reach"}):
             for agent in agents:
                 found |= self._ways(agent)
         if "blocks" in words:

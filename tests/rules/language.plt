@@ -1,11 +1,12 @@
 :- use_module(home).
 :- use_module(rules(facts)).
 :- use_module(rules(language)).
+:- use_module(rules(goals)).
 :- use_module(library(plunit)).
 :- use_module(library(occurs)).
 
 means(Text, Kind, Relation, Goal) :-
-    understand(Text, phrase(Kind, Relation, _, String)),
+    understand(Text, phrase(Kind, Relation, _, String, _)),
     term_string(Goal, String).
 
 :- begin_tests(language, [setup(with([ node(cup_1, object), label(cup_1, cup), attribute(cup_1, color, red),
@@ -25,7 +26,7 @@ test(prepositions, true(Bad == [])) :-
                        "beside the tv"-next_to, "inside the fridge"-in, "by the oven"-near, "close to the oven"-near ]),
               \+ means(Text, place, Relation, _) ),
             Bad).
-test(a_thing, true(Goal = (attribute(X, _, red), instance_of(X, cup), instance_of(Y, table), on(X, Y)))) :-
+test(a_thing, true(Goal = (instance_of(X, cup), color(X, red), instance_of(Y, table), on(X, Y)))) :-
     means("the red cup on the table", thing, none, Goal).
 test(the_nearest_noun_is_modified,
      true(Goal = (instance_of(X, cup), instance_of(Y, table), instance_of(Z, kitchen), in(Y, Z), on(X, Y)))) :-
@@ -47,7 +48,7 @@ test(anything, true(Goal = (object(X), instance_of(Y, table), on(X, Y)))) :-
 test(relative_clause, true(Goal = (instance_of(X, cup), instance_of(Y, oven), near(X, Y)))) :-
     means("the cup that is near the oven", thing, none, Goal).
 test(between_two, true(Names-Goal == ["Target", "Target2"]-"instance_of(Target, cup), instance_of(Target2, oven)")) :-
-    understand("between the cup and the oven", phrase(place, between, Names, Goal)).
+    understand("between the cup and the oven", phrase(place, between, Names, Goal, _)).
 test(what_is_between_two,
      true(Goal = (instance_of(Y, cup), instance_of(Z, oven), between(_, Y, Z)))) :-
     means("what is between the cup and the oven", thing, none, Goal).
@@ -68,5 +69,86 @@ test(nothing, true(Code == not_understood)) :-
     understand("  ?! ", problem(Code, _, _)).
 test(quotes_do_no_harm, true(Code == not_understood)) :-
     understand("'); halt. --", problem(Code, _, _)).
+
+test(what_is_called_by_the_is_told, true(Definite == [the("Target", cup), the("TheTable", table), the("TheTable2", table)])) :-
+    understand("the cup on the table near the table", phrase(_, _, _, _, Definite)).
+test(several_are_no_one, true(Definite == [])) :-
+    understand("the cups", phrase(_, _, _, _, Definite)).
+test(a_class_on_its_own_stands_for_any, true(Goal = (instance_of(X, cup), on(X, table)))) :-
+    means("cups on a table", thing, none, Goal).
+test(quantifiers, true(Bad == [])) :-
+    findall(Text,
+            ( member(Text-Goal,
+                     [ "are all cups on a table"-forall(instance_of(X, cup), on(X, table)),
+                       "are the cups on a table"-forall(instance_of(X, cup), on(X, table)),
+                       "is no cup on a table"-(\+ (instance_of(X, cup), on(X, table))),
+                       "is there a cup on a table"-(instance_of(X, cup), on(X, table)),
+                       "is a cup on a table"-on(cup, table),
+                       "does a shelf hold every cup"-(instance_of(Y, shelf), forall(instance_of(X, cup), contains(Y, X)))
+                     ]),
+              \+ ( means(Text, question, none, Meant), Meant =@= Goal ) ),
+            Bad).
+test(negation, true(Goal =@= (instance_of(X, cup), \+ near(X, table)))) :-
+    means("cups not near a table", thing, none, Goal).
+test(a_superlative_is_of_all_that_is_said,
+     true(Goal =@= maximal(V, (( instance_of(X, cup), \+ near(X, table) ), volume(X, V))))) :-
+    means("the largest cup not near a table", thing, none, Goal).
+test(the_largest_room_has_the_largest_area, true(Goal =@= maximal(V, (instance_of(X, room), area(X, V))))) :-
+    means("the largest room", thing, none, Goal).
+test(the_nearest_to_another, true(Goal =@= minimal(V, (instance_of(X, cup), instance_of(Y, tv), distance(X, Y, V))))) :-
+    means("the cup nearest to the tv", thing, none, Goal).
+test(counting,
+     true(Names-Goal =@= ["Count"]-(aggregate_all(set(X), (instance_of(X, cup), on(X, table)), L), length(L, _)))) :-
+    understand("how many cups are on a table?", phrase(question, none, Names, String, _)),
+    term_string(Goal, String).
+test(rooms_have_what_is_in_them, true(Goal =@= (instance_of(X, room), \+ (instance_of(Y, window), in(Y, X))))) :-
+    means("which rooms have no window?", thing, none, Goal).
+test(rooms_have_doors, true(Goal =@= (instance_of(X, room), connects(door, X)))) :-
+    means("rooms with a door", thing, none, Goal).
+test(rooms_are_next_to_each_other_through_doors,
+     true(Goal =@= (instance_of(X, room), instance_of(Y, kitchen), adjacent(X, Y)))) :-
+    means("which rooms are next to the kitchen", thing, none, Goal).
+test(a_room_before_a_noun_tells_where, true(Goal =@= (instance_of(X, table), in(X, kitchen)))) :-
+    means("the kitchen table", thing, none, Goal).
+test(what_the_robot_can, true(Goal =@= can_carry(_))) :- means("what can I carry?", thing, none, Goal).
+test(lengths, true(Goal =@= (instance_of(X, shelf), height(X, H), H > 1.2))) :-
+    means("shelves taller than 120 cm", thing, none, Goal).
+test(declared_is_asked, true(Goal =@= (instance_of(X, tv), instance_of(Y, table), on(X, Y)))) :-
+    means("the tv is on the table", question, none, Goal).
+test(every_goal_can_be_read, true(Bad == [])) :-
+    findall(Text, ( understood(Text), \+ ( understand(Text, phrase(_, _, _, Goal, _)),
+                                          catch(read_goal(Goal, _, _, _), _, fail) ) ), Bad).
+test(what_is_missing_is_told, true(Message == "a thing is missing after `behind`")) :-
+    understand("the cup behind", problem(_, Message, _)).
+test(the_part_that_was_understood_is_told,
+     true(Message == "I understand `the cup`, but not `the` after it")) :-
+    understand("the cup the table", problem(_, Message, _)).
+test(vague_words_are_named, true(Bad == [])) :-
+    findall(Text-Word,
+            ( member(Text-Word, [ "the big cup"-big, "put it on the table"-it, "the cup yesterday"-yesterday,
+                                  "why is the cup on the table"-why, "a nice table"-nice ]),
+              \+ ( understand(Text, problem(not_understood, Message, Hint)),
+                   sub_atom(Message, _, _, _, Word), Hint \== "" ) ),
+            Bad).
+test(long_texts_end, true(Code == not_understood)) :-
+    numlist(1, 50, Ns),
+    findall("and the cup near the table", member(_, Ns), Parts),
+    atomic_list_concat(Parts, ' ', Text),
+    understand(Text, problem(Code, _, _)).
+
+understood("the red cup on the table").
+understood("what is on the shelf?").
+understood("how far is the cup from the tv?").
+understood("how large is the guest room?").
+understood("what color is the cup?").
+understood("when did I last see the cup?").
+understood("where can I sit?").
+understood("is the tv larger than the cup?").
+understood("in the guest room near the table").
+understood("are there at least two cups?").
+understood("what is within 2 m of the tv?").
+understood("which cup did I see last?").
+understood("the empty shelf").
+understood("what type of room is room_1?").
 
 :- end_tests(language).
