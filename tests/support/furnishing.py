@@ -166,7 +166,7 @@ def tell(
 ) -> list[str]:
     """Measure things and tell the rules; everything told before is forgotten. Returns the ids."""
     known = [str(row["X"]) for row in knowledge.call("node(X, _)")]
-    relations = Relations(lambda label: bool(knowledge.call(Compound("container", (Atom(label),)), limit=1)))
+    relations = Relations(lambda label: bool(knowledge.call(Compound("container_class", (Atom(label),)), limit=1)))
     measured = relations.update(things, {name: label_of(name) for name in things}, set(things), around)
     for name, of_rooms in (shares or {}).items():
         measured.merge(relations.set_shares(name, of_rooms))
