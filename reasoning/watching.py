@@ -86,10 +86,15 @@ class Watching:
         if not self._questions:
             self._facts.follower = None
 
-    @property
-    def pending(self) -> list[int]:
-        """The questions that a change may have given other answers, the one that waits longest first."""
-        return list(self._pending)
+    def due(self, *, resting: bool = True) -> list[int]:
+        """The questions that a change may have given other answers, the one that waits longest first.
+
+        resting : with those that are slow, and rest after they were asked
+        """
+        if resting or not self._rests_until:
+            return list(self._pending)
+        now = time.monotonic()
+        return [number for number in self._pending if self._rests_until.get(number, 0.0) <= now]
 
     def touch(self, numbers: Iterable[int] | None = None) -> None:
         """Have questions asked again whatever changed; None: all, since rules have changed."""
@@ -102,7 +107,7 @@ class Watching:
         resting : whether slow questions, which rest after they were asked, are asked all the same
         """
         until = time.monotonic() + budget_s
-        while waiting := self._due(resting)[:BATCH]:
+        while waiting := self.due(resting=resting)[:BATCH]:
             left = min(BATCH_S, until - time.monotonic())
             if left <= 0.0:
                 return
@@ -116,12 +121,6 @@ class Watching:
         return self._settle(*asked)[1]
 
     # -- asking -------------------------------------------------------------------------------------------
-    def _due(self, resting: bool) -> list[int]:
-        if resting or not self._rests_until:
-            return self.pending
-        now = time.monotonic()
-        return [number for number in self._pending if self._rests_until.get(number, 0.0) <= now]
-
     def _asked(self, batch: list[int], seconds: float) -> list[tuple[int, Term, float, Reads | None]]:
         """Results, times [s] and what was read for the first ones of a batch, all if time allows."""
         watches: list[Any] = [_watch_term(number, self._questions[number]) for number in batch]

@@ -243,6 +243,11 @@ class Watches:
                 self._rests_until[sought] = began + (REST * took if took > SLOW_S else 0.0)
         return changed
 
+    @property
+    def pending(self) -> int:
+        """How many goals are to be asked again and do not rest."""
+        return len(self._knowledge.watching.due(resting=False))
+
     def _first(self, sought: _Sought) -> Answers:
         if self._on_demand(sought.goal):
             return self._ask(sought)

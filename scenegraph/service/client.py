@@ -21,7 +21,7 @@ from mapping.observations import Observation
 from reasoning.knowledge import Explanation
 from scenegraph.errors import Problem, SceneGraphError, nearest, one_line
 from scenegraph.events import Event
-from scenegraph.graph import Delta, Mirror, Node, SceneGraph, Snapshot
+from scenegraph.graph import Delta, Mirror, SceneGraph, Snapshot
 from scenegraph.service import keys
 from scenegraph.service.arrays import LIMITS
 from scenegraph.service.codec import Form
@@ -36,24 +36,24 @@ from scenegraph.service.errors import (
 from scenegraph.service.messages import (
     AskReply,
     AskRequest,
-    Binding,
     EventsReply,
     EventsRequest,
     MapQuery,
     MapValues,
-    NodeBinding,
     ObservationReply,
     Problems,
     Status,
     TellReply,
     TellRequest,
+    WatchRequest,
     WhereReply,
     WhereRequest,
     decode,
     encode,
     encoding_of,
 )
-from scenegraph.service.replies import explanation_of
+from scenegraph.service.remote_watch import RemoteWatch
+from scenegraph.service.replies import bound, explanation_of
 from scenegraph.service.session import default_endpoint, qos_options, session_config
 
 __all__ = ["Client", "LiveGraph", "RemoteAnswers"]
@@ -193,10 +193,20 @@ class Client:
             problem=reply.problem,
             revision=reply.revision,
             elapsed_ms=reply.elapsed_ms,
-            rows=tuple({name: _value(binding, nodes) for name, binding in row.items()} for row in reply.answers),
+            rows=tuple(bound(row, nodes) for row in reply.answers),
             _client=self,
             _request=request,
         )
+
+    def watch(
+        self, goal: str, *, robot: str | None = None, limit: int = 100, timeout_s: float = 1.0, lease_s: float = 60.0
+    ) -> RemoteWatch:
+        """Have a goal kept answered, as `World.watch`: `with client.watch(goal) as changes: for change in changes: …`,
+        which waits for each. The server ends the watch `lease_s` after this client was heard of last."""
+        fields = {"goal": goal, "robot": robot, "limit": limit, "timeout_s": timeout_s, "lease_s": lease_s}
+        if not lease_s > 0.0:
+            raise InvalidMessage(f"expected a time > 0 s, got {lease_s!r}", field="WatchRequest.lease_s")
+        return RemoteWatch(self, _request(WatchRequest, {**fields, "nodes": True}))
 
     def where(self, phrase: str, *, robot: str | None = None) -> WhereReply:
         """Where something is, as `World.where`: `.truth`, `.answers[i].nodes/.region/.poses[j].pose`."""
@@ -379,10 +389,6 @@ def _request(model: type[_M], fields: Mapping[str, Any]) -> _M:
         return model(**fields)
     except ValidationError as error:
         raise InvalidMessage(one_line(error, model.__name__)) from None
-
-
-def _value(binding: Binding, nodes: Mapping[str, Node]) -> Any:
-    return nodes.get(binding.node, binding.node) if isinstance(binding, NodeBinding) else binding.value
 
 
 def _remote_problem(reply: zenoh.ReplyError, timeout_s: float) -> ServiceError:

@@ -4,6 +4,7 @@ ServiceError (a SceneGraphError)
 ├── InvalidMessage       bytes that are not a message of the kind expected here (also a ValueError); `field` says where
 ├── InvalidKey           a name that cannot be a chunk of a key (also a ValueError)
 ├── UnknownKey           no such key under this world
+├── UnknownWatch         no watch of this name is held, or its lease has run out
 ├── UnknownWorld         nobody serves this world
 ├── ServerUnreachable    nothing answers at this endpoint (also a ConnectionError)
 ├── ServerTimeout        a server is there, but did not reply in time (also a TimeoutError)
@@ -28,6 +29,7 @@ __all__ = [
     "ServerUnreachable",
     "ServiceError",
     "UnknownKey",
+    "UnknownWatch",
     "UnknownWorld",
 ]
 
@@ -66,6 +68,12 @@ class UnknownKey(ServiceError):
     """Nothing is served at this key. The hint names the nearest ones that exist."""
 
     code = "unknown_key"
+
+
+class UnknownWatch(ServiceError):
+    """No watch of this name is held; a lease that was not renewed ends it."""
+
+    code = "unknown_watch"
 
 
 class UnknownWorld(ServiceError):

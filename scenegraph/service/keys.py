@@ -28,6 +28,7 @@ __all__ = [
     "QualityOfService",
     "alive",
     "alive_everywhere",
+    "answers",
     "chunk",
     "edge",
     "everything",
@@ -97,6 +98,11 @@ def node(world: str, layer: str, node_id: str) -> str:
 def edge(world: str, relation: str, source: str, target: str) -> str:
     """The key of one edge."""
     return _joined(world, "graph", "edges", relation, source, target)
+
+
+def answers(world: str, watch: str) -> str:
+    """The key where the answers of a watch are put."""
+    return _joined(world, "answers", watch)
 
 
 def alive(world: str, service: str) -> str:
@@ -252,6 +258,8 @@ TABLE: tuple[KeyRow, ...] = (
     KeyRow("graph/edges/{relation}/{source}/{target}", "server puts, queryable", "", "Edge", _CHANGE),
     KeyRow("ask", "queryable", "AskRequest", "AskReply", _REQUEST),
     KeyRow("where", "queryable", "WhereRequest", "WhereReply", _REQUEST),
+    KeyRow("watch", "queryable", "WatchRequest", "WatchReply", _REQUEST),
+    KeyRow("answers/{watch}", "server puts, queryable", "", "WatchAnswers", _CHANGE),
     KeyRow("tell", "queryable", "TellRequest", "TellReply", _REQUEST),
     KeyRow("events", "queryable", "EventsRequest", "EventsReply", _REQUEST),
     KeyRow("map/{layer}", "queryable", "", "", _BULK),

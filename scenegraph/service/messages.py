@@ -47,6 +47,9 @@ __all__ = [
     "TellReply",
     "TellRequest",
     "ValueBinding",
+    "WatchAnswers",
+    "WatchReply",
+    "WatchRequest",
     "WhereAnswer",
     "WhereReply",
     "WhereRequest",
@@ -60,6 +63,7 @@ __all__ = [
 Truth: TypeAlias = Literal["true", "false", "unknown"]
 Limit: TypeAlias = Annotated[int, Field(ge=1, le=100_000)]
 Timeout: TypeAlias = Annotated[float, Field(gt=0.0, le=60.0, allow_inf_nan=False)]
+Lease: TypeAlias = Annotated[float, Field(ge=0.0, le=86_400.0, allow_inf_nan=False)]
 Text: TypeAlias = Annotated[str, Field(min_length=1, max_length=20_000)]
 ShortText: TypeAlias = Annotated[str, Field(max_length=2_000)]
 
@@ -147,6 +151,41 @@ class AskReply(Message):
     problem: Problem | None = None
     explanation: Any = None
     nodes: tuple[Node, ...] | None = None
+
+
+class WatchRequest(Message):
+    """A goal to be kept answered for `lease_s` [s]. With the name of a watch of this goal that one's lease is renewed,
+    or ended with `lease_s` 0. The other fields are those of `AskRequest`."""
+
+    goal: Text
+    limit: Limit = 100
+    timeout_s: Timeout = 1.0
+    robot: Name | None = None
+    nodes: bool = False
+    watch: Name | None = None
+    lease_s: Lease = 60.0
+
+
+class WatchReply(Message):
+    """The watch, whose answers are put at `answers/{watch}`, and for how long [s] unless it is renewed."""
+
+    watch: str
+    lease_s: float
+
+
+class WatchAnswers(AskReply):
+    """The answers to a watched goal, put whenever they change; asked for, those that were put last.
+
+    number      of the message: 1, 2, …
+    stamp_ns    of the graph that was asked
+    came, went  what is new, and what no longer holds, since the message before; with a problem neither is known
+    """
+
+    watch: str
+    number: int
+    stamp_ns: int
+    came: tuple[dict[str, Binding], ...] = ()
+    went: tuple[dict[str, Binding], ...] = ()
 
 
 class WhereRequest(Message):
@@ -311,6 +350,9 @@ class Status(Message):
 _OWN: tuple[type[BaseModel], ...] = (
     AskRequest,
     AskReply,
+    WatchRequest,
+    WatchReply,
+    WatchAnswers,
     WhereRequest,
     WhereReply,
     TellRequest,

@@ -29,6 +29,7 @@ from scenegraph.service.messages import (
 
 __all__ = [
     "ask_reply",
+    "bound",
     "explanation_of",
     "json_value",
     "map_layer",
@@ -90,6 +91,14 @@ def ask_reply(answers: Any, *, revision: int, elapsed_ms: float, explain: bool, 
         explanation=json_value(answers.explain()) if explain else None,
         nodes=tuple(named.values()) if nodes else None,
     )
+
+
+def bound(row: Mapping[str, Binding], nodes: Mapping[str, Node]) -> dict[str, Any]:
+    """An answer's variables with the nodes and values that they stand for."""
+    return {
+        name: nodes.get(binding.node, binding.node) if isinstance(binding, NodeBinding) else binding.value
+        for name, binding in row.items()
+    }
 
 
 def explanation_of(document: Mapping[str, Any]) -> Explanation:

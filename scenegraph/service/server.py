@@ -44,6 +44,7 @@ from scenegraph.service.messages import (
 )
 from scenegraph.service.sender import Sender, problem_told, reply_form
 from scenegraph.service.session import DEFAULT_ENDPOINT, session_config
+from scenegraph.service.watch_desk import WatchDesk
 
 __all__ = ["ServedWorld", "Server"]
 
@@ -131,7 +132,9 @@ class Server:
         self._sender = Sender(self.name, session, self._bounds.replies)
         self._refresh_status()
         self._feed = GraphFeed(self.name, self._world.graph.snapshot(), self._sender.put)
+        self._desk = WatchDesk(self._world, self.name, self._sender.put)
         self._feed.start()
+        self._desk.start()
         self._worker = threading.Thread(target=self._work, name="world", daemon=True)
         self._worker.start()
         session.declare_queryable(self._prefix + "/**", self._on_query)
@@ -151,6 +154,7 @@ class Server:
             self._stopping.set()
             self._intake.wake()
             self._worker.join(timeout_s)
+            self._desk.stop()
             self._feed.stop()
             self._sender.close()
             session.close()  # type: ignore[no-untyped-call]
@@ -210,6 +214,10 @@ class Server:
                 self._by_world(query, path, "AskRequest", self._ask)
             case ["where"]:
                 self._by_world(query, path, "WhereRequest", self._where)
+            case ["watch"]:
+                self._by_world(query, path, "WatchRequest", self._desk.take)
+            case ["answers", watch]:
+                self._by_world(query, path, None, lambda _: self._desk.answers(watch))
             case ["tell"]:
                 self._by_world(query, path, "TellRequest", self._tell)
             case ["events"]:
@@ -295,8 +303,9 @@ class Server:
     # -- the thread that owns the world --------------------------------------------------------------------------
 
     def _work(self) -> None:
+        more = False
         while True:
-            job = self._intake.take(0.25)
+            job = self._intake.take(0.0 if more else 0.25)
             if job is None:
                 if self._stopping.is_set():
                     return
@@ -307,8 +316,17 @@ class Server:
                 except Exception:
                     log.exception("a job failed in an unforeseen way; the server goes on")
                 self._busy_since = None
+            more = self._follow_watches()
             if self._status_stale and (self._intake.idle or time.monotonic() - self._status_at > _STATUS_EVERY_S):
                 self._refresh_status()
+
+    def _follow_watches(self) -> bool:
+        """Give the watches their share of time; returns whether they need more."""
+        try:
+            return self._desk.step(idle=self._intake.idle)
+        except Exception:
+            log.exception("watched goals could not be asked again; the next change tries anew")
+            return False
 
     def _integrate(self, stream: keys.Input, payload: zenoh.ZBytes, encoding: str, query: zenoh.Query | None) -> None:
         try:
