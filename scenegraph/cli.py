@@ -8,14 +8,15 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, suppress
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 from typer.core import TyperGroup
 
-from scenegraph.console import Printer, plain, plain_explanation, plain_place, plain_problem, plain_status
+from scenegraph.console import Printer, plain, plain_change, plain_explanation, plain_place, plain_problem, plain_status
 
 __all__ = ["app", "main"]
 
@@ -258,6 +259,41 @@ def ask(
         if problem is not None:
             printer.problem(**problem)
     raise typer.Exit(2 if answers.problem is not None else 0 if answers.truth == "true" else 1)
+
+
+@app.command()
+def watch(
+    goal: Annotated[str, typer.Argument(help="Such as 'near(X, oven)'.")],
+    map_path: Map = None,
+    connect: Connect = None,
+    world: WorldName = "home",
+    robot: Robot = None,
+    limit: Annotated[int, typer.Option(min=1, help="At most so many answers.")] = 100,
+    timeout_s: Annotated[float, typer.Option(help="Give up each time after so many seconds.")] = 1.0,
+    changes: Annotated[
+        int | None, typer.Option(min=1, help="End after so many changes, the first answers included.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Print the answers to a question, and whenever they change what came and went, until interrupted.
+
+    The world in a file of --map does not change: its answers are printed once. --json prints an object a line. Exit
+    status 0: the last answer was yes, 1: no or unknown.
+    """
+    printer = Printer(json=as_json)
+    truth = "unknown"
+    with (
+        _opened(map_path, connect, world) as target,
+        suppress(KeyboardInterrupt),  # the usual way to end it
+        target.watch(goal, robot=robot, limit=limit, timeout_s=timeout_s) as told,
+    ):
+        for change in islice(told, changes):
+            truth = change.truth
+            if as_json:
+                printer.document(plain_change(change))
+            else:
+                printer.change(change)
+    raise typer.Exit(0 if truth == "true" else 1)
 
 
 @app.command()

@@ -84,6 +84,15 @@ class Printer:
         if why is not None:
             self.explanation(why)
 
+    def change(self, change: Any) -> None:
+        """How the answers to a watched goal changed: a line for each that came or went."""
+        self.truth(change.truth, f"   revision {change.revision}, {len(list(change.answers))} answers")
+        for sign, rows, style in (("+", change.came, "green"), ("-", change.went, "red")):
+            for row in rows:
+                self.line(f"  {sign} " + ", ".join(f"{name} = {shown(value)}" for name, value in row.items()), style)
+        if change.problem is not None:
+            self.problem(**(plain_problem(change.problem) or {}))
+
     def place(self, place: Any, *, corners: bool = True) -> None:
         """Each reading of a phrase: its nodes, its region (all corners, or its extent), and the poses to stand at."""
         self.truth(place.truth, f"   {place.phrase}")
@@ -275,6 +284,18 @@ def plain(value: Any) -> Any:
         position = [round(float(x), 3) for x in value.position]
         return {"node": value.id, "label": value.label, "position": position}
     return {"value": value.tolist() if hasattr(value, "tolist") else value}
+
+
+def plain_change(change: Any) -> dict[str, Any]:
+    """A change of a watch, of a world or from a server, as JSON."""
+    rows = {"came": change.came, "went": change.went, "answers": change.answers}
+    return {
+        "truth": change.truth,
+        **{name: [{k: plain(v) for k, v in row.items()} for row in side] for name, side in rows.items()},
+        "revision": change.revision,
+        "stamp_ns": change.stamp_ns,
+        "problem": plain_problem(change.problem),
+    }
 
 
 def plain_explanation(given: Any) -> Any:

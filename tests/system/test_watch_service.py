@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import zenoh
@@ -167,6 +171,31 @@ def test_a_goal_that_takes_long_each_time_leaves_others_their_turns(client: Clie
         assert time.monotonic() - began < 5.0, "the slow one rests"
         for n in range(5):
             client.tell(f"retract(n({n}))")
+
+
+def test_the_command_line_prints_changes_as_they_come(client: Client, server: Server, tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "scenegraph.cli", "watch", "fact(X)", "--connect", server.endpoint]
+    with (tmp_path / "told").open("w+") as told:
+        ended_by_us = subprocess.Popen([*words, "--json"], stdout=told)
+        ends_itself = subprocess.Popen([*words, "--changes", "2"], stdout=subprocess.PIPE, text=True)
+        try:
+            assert eventually(lambda: len(server._desk) == 2, 30.0)
+            client.tell("fact(visitor)")
+            out, _ = ends_itself.communicate(timeout=30)
+            assert eventually(lambda: len((tmp_path / "told").read_text().splitlines()) == 2)
+        finally:
+            ended_by_us.send_signal(signal.SIGINT)
+        assert ended_by_us.wait(30) == 0
+        assert ends_itself.returncode == 0
+        first, second = map(json.loads, (tmp_path / "told").read_text().splitlines())
+    assert (first["truth"], first["came"]) == ("false", [])
+    assert (second["truth"], second["came"], second["went"]) == ("true", [{"X": {"value": "visitor"}}], [])
+    assert "+ X = visitor" in out
+    refused = subprocess.run(
+        [*words[:4], "near(dragon, X)", *words[5:]], check=False, capture_output=True, text=True, timeout=60
+    )
+    assert refused.returncode == 2
+    assert "did you mean" in refused.stderr
 
 
 def test_a_world_that_keeps_no_watches_says_so() -> None:
