@@ -1,6 +1,7 @@
 :- module(goals,
           [ read_goal/4,                % +Text, -Goal, -Bindings, -Names
-            user_word/1                 % ?Head
+            user_word/1,                % ?Head
+            visible_variables/2         % +Goal, -Variables
           ]).
 :- use_module(library(lists)).
 :- use_module(library(apply)).

@@ -18,7 +18,8 @@
             nearest/3, farthest/3, largest/2, smallest/2, tallest/2, latest/2,
             graspable/1, openable/1, container/1, surface/1, sittable/1, powered/1, pourable/1, movable/1,
             can_reach/1, can_carry/1, fits_through/1, asker/1,
-            place_setting/3, workplace/3
+            place_setting/3, workplace/3,
+            open/1, closed/1, switched_on/1, switched_off/1, holding/1, holding/2, poured/2
           ]).
 :- use_module(library(lists)).
 :- use_module(library(apply)).
@@ -31,6 +32,7 @@
 :- use_module(properties).
 :- use_module(affordances).
 :- use_module(groups).
+:- use_module(states).
 
 /** <module> The words in which questions are asked
 
@@ -360,6 +362,27 @@ place_setting(Plate, Fork, Knife) :- group(place_setting(Plate, Fork, Knife), tr
 workplace(Desk, Seat, Screen) :- group(workplace(Desk, Seat, Screen), true).
 
                 /*******************************
+                *            STATES            *
+                *******************************/
+
+signature(open(thing), "its door, lid or drawer is open").
+signature(closed(thing), "its door, lid or drawer is shut").
+signature(switched_on(thing), "it is switched on").
+signature(switched_off(thing), "it is switched off").
+signature(holding(thing), "a robot holds it").
+signature(holding(thing, thing), "the first, a robot, holds the second").
+signature(poured(thing, thing), "what was in the first was poured into the second").
+
+%!  state_word(+Goal) is semidet.
+%
+%   Goal is one of these, of which it may not be known which holds.
+
+state_word(open(_)).
+state_word(closed(_)).
+state_word(switched_on(_)).
+state_word(switched_off(_)).
+
+                /*******************************
                 *       WHAT MAY BE TRUE       *
                 *******************************/
 
@@ -418,6 +441,10 @@ possibly(Goal) :-
     ;   !,
         call(Goal)
     ).
+possibly(Goal) :-
+    state_word(Goal),
+    !,
+    possible_state(Goal).
 possibly(leads_to(A, B)) :-
     !,
     possibly_leads_to(A, B).

@@ -16,7 +16,16 @@ from typing import Annotated, Any, Literal
 import typer
 from typer.core import TyperGroup
 
-from scenegraph.console import Printer, plain, plain_change, plain_explanation, plain_place, plain_problem, plain_status
+from scenegraph.console import (
+    Printer,
+    plain,
+    plain_change,
+    plain_explanation,
+    plain_place,
+    plain_plan,
+    plain_problem,
+    plain_status,
+)
 
 __all__ = ["app", "main"]
 
@@ -74,6 +83,20 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+MISUSES = frozenset(
+    (
+        "bad_argument",
+        "forbidden",
+        "not_a_plan_goal",
+        "syntax_error",
+        "unbound_variable",
+        "unknown_name",
+        "unknown_predicate",
+        "unknown_robot",
+    )
+)
+"""Problems of a goal to be planned for that are faults of whoever wrote it."""
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
 Map = Annotated[Path | None, typer.Option("--map", help="A world that was saved by replay --save or serve --store.")]
@@ -317,6 +340,30 @@ def where(
         if problem is not None:
             printer.problem(**problem)
     raise typer.Exit(2 if place.problem is not None else 0 if place.truth == "true" else 1)
+
+
+@app.command()
+def plan(
+    goal: Annotated[str, typer.Argument(help="Such as 'on(cup, table)' or 'in(milk, fridge), closed(fridge)'.")],
+    map_path: Map = None,
+    connect: Connect = None,
+    world: WorldName = "home",
+    robot: Robot = None,
+    timeout_s: Annotated[float, typer.Option(help="Give up after so many seconds.")] = 10.0,
+    as_json: Json = False,
+) -> None:
+    """Say what a robot has to do to bring a goal about. Exit status 0: a plan, 1: none, or not known."""
+    printer = Printer(json=as_json)
+    with _opened(map_path, connect, world, graphs=True) as target:
+        found = target.plan(goal, robot=robot, timeout_s=timeout_s)
+    problem = plain_problem(found.problem)
+    if as_json:
+        printer.document(plain_plan(found))
+    else:
+        printer.plan(found)
+        if problem is not None:
+            printer.problem(**problem)
+    raise typer.Exit(2 if problem and problem["code"] in MISUSES else 0 if found.status == "solved" else 1)
 
 
 @app.command()

@@ -110,6 +110,18 @@ class Printer:
         if place.ambiguous:
             self.line(f"ambiguous: it could be {', '.join(map(str, place.ambiguous))}", "yellow")
 
+    def plan(self, plan: Any) -> None:
+        """The status, and the steps in order, each with where to stand for it."""
+        rooms = " → ".join(plan.rooms)
+        self.plan_status(plan.status, f"   {plan.goal}" + (f"   {rooms}" if rooms else ""))
+        if plan.steps:
+            rows = ((k, s.action, ", ".join(s.arguments), *_stand(s.target)) for k, s in enumerate(plan.steps, start=1))
+            self.table("", ("", "action", "of", "x [m]", "y [m]", "yaw [°]"), rows)
+
+    def plan_status(self, status: str, note: str = "") -> None:
+        style = {"solved": "true", "unsolvable": "false"}.get(status, "unknown")
+        self.out.print(Text(status, style=TRUTH_STYLES[style]).append(note, style="default"), soft_wrap=True)
+
     def replayed(self, dataset: Any, told: Any) -> None:
         """What became of a recording."""
         figures = told.as_json()
@@ -307,6 +319,15 @@ def plain_problem(given: Any) -> dict[str, Any] | None:
     return None if given is None else {"code": given.code, "message": given.message, "hint": given.hint}
 
 
+def plain_plan(plan: Any) -> dict[str, Any]:
+    """A plan, of a world or from a server, in its wire form."""
+    from scenegraph.service.replies import plan_reply
+
+    reply = plan if hasattr(plan, "model_dump") else plan_reply(plan)
+    told: dict[str, Any] = reply.model_dump(mode="json")
+    return told
+
+
 def plain_place(place: Any) -> dict[str, Any]:
     """A place, of a world or from a server, in its wire form."""
     from scenegraph.service.replies import where_reply
@@ -336,6 +357,15 @@ def _poses(answer: Any) -> Iterator[tuple[Any, ...]]:
         x, y = goal.pose.translation[:2]
         yaw = math.degrees(math.atan2(goal.pose.rotation[1, 0], goal.pose.rotation[0, 0]))
         yield round(float(x), 2), round(float(y), 2), round(yaw), round(goal.clearance_m, 2), goal.path_length_m
+
+
+def _stand(target: Any) -> tuple[Any, Any, Any]:
+    """Place and heading of a pose, in metres and degrees; blank when there is none."""
+    if target is None:
+        return "", "", ""
+    x, y = target.translation[:2]
+    yaw = math.degrees(math.atan2(target.rotation[1, 0], target.rotation[0, 0]))
+    return round(float(x), 2), round(float(y), 2), round(yaw)
 
 
 def _tree(explanation: Mapping[str, Any], brief: bool) -> Tree:

@@ -39,6 +39,8 @@ MODULES = {  # import name → distribution
     "zstandard": "zstandard",
     "PIL": "pillow",
     "shapely": "shapely",
+    "unified_planning": "unified-planning",
+    "pyperplan": "up-pyperplan",
     "matplotlib": "matplotlib",
 }
 MEMORY_MIN_GB = 2.0

@@ -7,15 +7,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from reasoning.knowledge import KnowledgeBase, Reply
+from reasoning.planning import Planner
 from reasoning.terms import Atom
 from scenegraph import facts, phrases
 from scenegraph.answers import Answers
+from scenegraph.config import WorldConfig
 from scenegraph.errors import StoreForeign
 from scenegraph.graph import SceneGraph
 from scenegraph.interop import read_graph
 from scenegraph.store import load_graph
 
 if TYPE_CHECKING:
+    from scenegraph.planning.plan import Plan
     from scenegraph.world import World
 
 __all__ = ["GraphFile", "graph_in", "open_map"]
@@ -60,10 +63,22 @@ class GraphFile:
         named = {term.name for row in reply.answers for term in row.values() if isinstance(term, Atom)}
         return Answers(reply, self.graph.revision, {i: self.graph.node(i) for i in named if i in self.graph})
 
+    def plan(self, goal: str, *, robot: str | None = None, timeout_s: float = 10.0, engine: str = "pyperplan") -> Plan:
+        """A plan, as `World.plan`; its steps have poses only where places of the graph tell them."""
+        from scenegraph.planning.desk import PlanDesk, run
+
+        desk = PlanDesk(self.graph, self._knowledge, robots={}, radius_m=WorldConfig().robot_radius_m)
+        return run(desk.planning(goal, robot=robot, timeout_s=timeout_s), self._planner, engine)
+
+    @cached_property
+    def _planner(self) -> Planner:
+        return Planner()
+
     def close(self) -> None:
-        """End the reasoner's process."""
-        if "_knowledge" in self.__dict__:
-            self._knowledge.close()
+        """End the processes of reasoner and planner."""
+        for name in ("_knowledge", "_planner"):
+            if name in self.__dict__:
+                self.__dict__[name].close()
 
     def __enter__(self) -> Self:
         return self

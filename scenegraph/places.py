@@ -123,10 +123,24 @@ class PlaceFinder:
         rows = self._knowledge.call(goal, limit=1)
         return float(rows[0]["D"]) if rows else 1.0  # type: ignore[arg-type]
 
+    def beside(
+        self, node: Node, robot: str | None, most: int = MOST_POSES, start: Array | None = None
+    ) -> list[GoalPose]:
+        """Free poses for a robot beside a thing, looking at it, best first; reachable from `start` (2,) [m], or from
+        where the robot is."""
+        return self._poses([node], self._ground([node])[0], robot, most, start)
+
     # -- poses --------------------------------------------------------------------------------------------
-    def _poses(self, nodes: Sequence[Node], footprint: shapely.Geometry, robot: str | None) -> list[GoalPose]:
+    def _poses(
+        self,
+        nodes: Sequence[Node],
+        footprint: shapely.Geometry,
+        robot: str | None,
+        most: int = MOST_POSES,
+        start: Array | None = None,
+    ) -> list[GoalPose]:
         """Free, reachable poses that look at the nodes: for a room inside it, else beside the things."""
-        start = self._robot_at(robot)
+        start = self._robot_at(robot) if start is None else start
         floor_z = self._floor_z(nodes)
         inside = all(n.layer == "room" for n in nodes)
         low, high = (
@@ -159,7 +173,7 @@ class PlaceFinder:
         poses: list[GoalPose] = []
         chosen: list[Array] = []
         for at in np.argsort(badness, kind="stable"):
-            if not np.isfinite(badness[at]) or len(poses) == MOST_POSES:
+            if not np.isfinite(badness[at]) or len(poses) == most:
                 break
             if any(np.linalg.norm(xy[at] - other) < 0.4 for other in chosen):
                 continue

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from mapping.errors import PoseUnavailable
 from mapping.frames import BASE, MAP, FrameTree
@@ -25,6 +25,7 @@ from mapping.observations import (
     Transform,
 )
 from reasoning.knowledge import KnowledgeBase
+from reasoning.planning import Planner
 from scenegraph import phrases, statements, storing
 from scenegraph.answers import Answers, Place, TellResult
 from scenegraph.collector import collector_paused
@@ -41,6 +42,11 @@ from scenegraph.perception.perception import Perception
 from scenegraph.places import PlaceFinder
 from scenegraph.realigning import Corrections, Sightings, motions
 from scenegraph.watching import AnswerChange, Watch, Watches
+
+if TYPE_CHECKING:
+    from scenegraph.planning.desk import PlanDesk
+    from scenegraph.planning.plan import Plan
+    from scenegraph.planning.planner import Planning
 
 __all__ = ["World"]
 
@@ -81,6 +87,7 @@ class World:
         )
         self._asked_for: set[tuple[str, ...]] = set()
         self._desk = DetectionDesk()
+        self.planner = Planner()
         self.T_map_camera: SE3 | None = None
         """Where the last image was taken from, as the map corrected its pose."""
 
@@ -256,6 +263,46 @@ class World:
         finder = PlaceFinder(self.graph, self.map.occupancy, self._knowledge, self.robots, self.config.robot_radius_m)
         return finder.find(phrase, robot)
 
+    def plan(
+        self,
+        goal: str,
+        *,
+        robot: str | None = None,
+        timeout_s: float = 10.0,
+        engine: str = "pyperplan",
+    ) -> Plan:
+        """A plan that brings a goal about, such as `on(cup, table)`: steps with node ids, preconditions and poses.
+
+        goal      a conjunction of on, in, near, holding, open, closed, switched_on, switched_off, poured; classes stand
+                  for any instance, `\\+` for what shall not hold, forall(cup(X), in(X, kitchen)) for all; conditions of
+                  other words say what is meant: cup(X), attribute(X, color, red), on(X, table)
+        robot     who acts, with its hand and width as it described them; default: the one that was seen last
+        timeout_s for looking for it; the first plan also waits for the planner's process to start
+        engine    another planner that unified-planning knows, such as "fast-downward"
+        """
+        from scenegraph.planning.desk import run
+
+        return run(self.planning(goal, robot=robot, timeout_s=timeout_s), self.planner, engine)
+
+    def planning(self, goal: str, *, robot: str | None = None, timeout_s: float = 10.0) -> Planning[Plan]:
+        """As `plan`, for whoever lets the planner work in a thread of its own: yields what is to be solved, is sent
+        what was found, and returns the plan."""
+        return self._plan_desk().planning(goal, robot=robot, timeout_s=timeout_s)
+
+    def _plan_desk(self) -> PlanDesk:
+        from scenegraph.planning.desk import PlanDesk
+
+        finder = PlaceFinder(self.graph, self.map.occupancy, self._knowledge, self.robots, self.config.robot_radius_m)
+        seen_from = None if self.T_map_camera is None else self.T_map_camera.translation.tolist()
+        return PlanDesk(
+            self.graph,
+            self._knowledge,
+            robots=self.robots,
+            radius_m=self.config.robot_radius_m,
+            finder=finder,
+            place=None if seen_from is None else (seen_from[0], seen_from[1], seen_from[2]),
+        )
+
     def tell(self, statement: str, *, author: str, reason: str = "") -> TellResult:
         """State something: `fact(T)`, `retract(T)`, `rename(Id, Name)`, `set(Id, Attribute, Value)`, `delete(Id)`,
         `merge(Id, Id)` of two things or two rooms, `room(Name, Polygon)`, `room(Name, Polygon, Storey)`, `split(Room,
@@ -308,8 +355,9 @@ class World:
         return storing.load(cls, Path(path))
 
     def close(self) -> None:
-        """End the reasoner's process."""
+        """End the processes of reasoner and planner."""
         self._knowledge.close()
+        self.planner.close()
 
     def __enter__(self) -> Self:
         return self

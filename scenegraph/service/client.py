@@ -41,6 +41,8 @@ from scenegraph.service.messages import (
     MapQuery,
     MapValues,
     ObservationReply,
+    PlanReply,
+    PlanRequest,
     Problems,
     Status,
     TellReply,
@@ -64,6 +66,7 @@ _M = TypeVar("_M", bound=BaseModel)
 
 _CONNECT_S = 2.0
 _GRACE_S = 5.0  # beyond a question's own time: the wait for its turn
+_PLAN_GRACE_S = 40.0  # and of a planner, which works on one task at a time and may have to be started
 
 
 @dataclass(frozen=True)
@@ -212,6 +215,11 @@ class Client:
         """Where something is, as `World.where`: `.truth`, `.answers[i].nodes/.region/.poses[j].pose`."""
         request = _request(WhereRequest, {"phrase": phrase, "robot": robot})
         return self._call("where", request, WhereReply, request.timeout_s + _GRACE_S)
+
+    def plan(self, goal: str, *, robot: str | None = None, timeout_s: float = 10.0) -> PlanReply:
+        """A plan that brings a goal about, as `World.plan`: `.status`, `.steps[i].action/.arguments/.target`."""
+        request = _request(PlanRequest, {"goal": goal, "robot": robot, "timeout_s": timeout_s})
+        return self._call("plan", request, PlanReply, request.timeout_s + _PLAN_GRACE_S)
 
     def tell(self, statement: str, *, author: str = "client", reason: str = "") -> TellReply:
         """Tell the world a statement, as `World.tell`."""

@@ -260,6 +260,7 @@ TABLE: tuple[KeyRow, ...] = (
     KeyRow("where", "queryable", "WhereRequest", "WhereReply", _REQUEST),
     KeyRow("watch", "queryable", "WatchRequest", "WatchReply", _REQUEST),
     KeyRow("answers/{watch}", "server puts, queryable", "", "WatchAnswers", _CHANGE),
+    KeyRow("plan", "queryable", "PlanRequest", "PlanReply", _REQUEST),
     KeyRow("tell", "queryable", "TellRequest", "TellReply", _REQUEST),
     KeyRow("events", "queryable", "EventsRequest", "EventsReply", _REQUEST),
     KeyRow("map/{layer}", "queryable", "", "", _BULK),

@@ -40,6 +40,9 @@ __all__ = [
     "Message",
     "NodeBinding",
     "ObservationReply",
+    "PlanReply",
+    "PlanRequest",
+    "PlanStep",
     "Problems",
     "Refusal",
     "Region",
@@ -230,6 +233,36 @@ class WhereReply(Message):
     problem: Problem | None = None
 
 
+class PlanRequest(Message):
+    """A goal that shall be brought about, such as `on(cup, table)`, and by which robot."""
+
+    goal: Text
+    robot: Name | None = None
+    timeout_s: Timeout = 10.0
+
+
+class PlanStep(Message):
+    """One thing to do. `target`: where base_link is to stand for it, when a free, reachable pose is known."""
+
+    action: str
+    arguments: tuple[str, ...]
+    target: Pose | None = None
+    preconditions: tuple[str, ...] = ()
+    effects: tuple[str, ...] = ()
+
+
+class PlanReply(Message):
+    """A plan. `unsolvable`: there is none, as far as is known; `unknown`: what the goal is about is not known."""
+
+    status: Literal["solved", "unsolvable", "unknown", "timeout"]
+    steps: tuple[PlanStep, ...] = ()
+    problem: Problem | None = None
+    goal: str = ""
+    rooms: tuple[str, ...] = ()
+    revision: int = 0
+    elapsed_ms: float = 0.0
+
+
 class TellRequest(Message):
     """A statement (`rename(room_2, 'guest room')`), who says so, and why."""
 
@@ -355,6 +388,8 @@ _OWN: tuple[type[BaseModel], ...] = (
     WatchAnswers,
     WhereRequest,
     WhereReply,
+    PlanRequest,
+    PlanReply,
     TellRequest,
     TellReply,
     EventsRequest,

@@ -20,6 +20,8 @@ from scenegraph.service.messages import (
     MapQuery,
     MapValues,
     NodeBinding,
+    PlanReply,
+    PlanStep,
     Region,
     TellReply,
     ValueBinding,
@@ -34,6 +36,7 @@ __all__ = [
     "json_value",
     "map_layer",
     "map_values",
+    "plan_reply",
     "problem_from",
     "tell_reply",
     "where_reply",
@@ -146,6 +149,28 @@ def where_reply(place: Any, phrase: str) -> WhereReply:
         ),
         ambiguous=tuple(json_value(item) for item in getattr(place, "ambiguous", ())),
         problem=problem_from(getattr(place, "problem", None)),
+    )
+
+
+def plan_reply(plan: Any) -> PlanReply:
+    """The reply that carries a world's `Plan`."""
+    return PlanReply(
+        status=plan.status,
+        steps=tuple(
+            PlanStep(
+                action=step.action,
+                arguments=step.arguments,
+                target=step.target,
+                preconditions=step.preconditions,
+                effects=step.effects,
+            )
+            for step in plan.steps
+        ),
+        problem=problem_from(plan.problem),
+        goal=plan.goal,
+        rooms=plan.rooms,
+        revision=plan.revision,
+        elapsed_ms=round(plan.elapsed_ms, 3),
     )
 
 

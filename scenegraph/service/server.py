@@ -42,6 +42,7 @@ from scenegraph.service.messages import (
     encoding_of,
     schema,
 )
+from scenegraph.service.planning import PlanRequests
 from scenegraph.service.sender import Sender, problem_told, reply_form
 from scenegraph.service.session import DEFAULT_ENDPOINT, session_config
 from scenegraph.service.watch_desk import WatchDesk
@@ -63,6 +64,7 @@ class ServedWorld(Protocol):
     def integrate(self, observation: Any, /) -> Delta: ...
     def ask(self, goal: str, /, *, robot: str | None, limit: int, timeout_s: float, at_ns: int | None) -> Any: ...
     def where(self, phrase: str, /, *, robot: str | None) -> Any: ...
+    def planning(self, goal: str, /, *, robot: str | None, timeout_s: float) -> Any: ...
     def tell(self, statement: str, /, *, author: str, reason: str) -> Any: ...
     def events(self, since_ns: int | None, /) -> list[Event]: ...
     def status(self) -> dict[str, Any]: ...
@@ -130,6 +132,7 @@ class Server:
             ) from None
         self._session = session
         self._sender = Sender(self.name, session, self._bounds.replies)
+        self._plans = PlanRequests(self._world, self._intake, self._sender, self._times, self._max_timeout_s)
         self._refresh_status()
         self._feed = GraphFeed(self.name, self._world.graph.snapshot(), self._sender.put)
         self._desk = WatchDesk(self._world, self.name, self._sender.put)
@@ -156,6 +159,7 @@ class Server:
             self._worker.join(timeout_s)
             self._desk.stop()
             self._feed.stop()
+            self._plans.close()
             self._sender.close()
             session.close()  # type: ignore[no-untyped-call]
             log.info("stopped serving %s", self.name)
@@ -218,6 +222,8 @@ class Server:
                 self._by_world(query, path, "WatchRequest", self._desk.take)
             case ["answers", watch]:
                 self._by_world(query, path, None, lambda _: self._desk.answers(watch))
+            case ["plan"]:
+                self._plans.admit(query, lambda: self._request(query, "PlanRequest"))
             case ["tell"]:
                 self._by_world(query, path, "TellRequest", self._tell)
             case ["events"]:

@@ -1,0 +1,179 @@
+"""From goals about a graph to plans: what is chosen, what is told to the planner, what is said when there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from scenegraph.graph import GraphChanges
+from scenegraph.importing import GraphFile
+from scenegraph.planning import Plan
+from tests.support.errands import large_home, small_flat
+
+
+@pytest.fixture(scope="module")
+def flat() -> Iterator[GraphFile]:
+    with GraphFile(small_flat()) as file:
+        yield file
+
+
+@pytest.fixture(scope="module")
+def large() -> Iterator[GraphFile]:
+    with GraphFile(large_home(40, 1000)) as file:
+        yield file
+
+
+def told(plan: Plan) -> list[str]:
+    return [str(step) for step in plan]
+
+
+def final(plan: Plan) -> set[tuple[str, ...]]:
+    """What holds after the plan, by what its steps say of themselves."""
+    assert plan.task is not None
+    state = set(plan.task.init)
+    for action in plan.actions:
+        assert not action.failing(state)
+        action.apply(state)
+    return state
+
+
+def test_a_cup_is_brought_to_the_bed(flat: GraphFile) -> None:
+    plan = flat.plan("on(cup, bed)")
+    assert plan.status == "solved"
+    assert plan.problem is None
+    assert told(plan) == [
+        "navigate(room_1, door_1)",
+        "navigate(object_4)",
+        "pick(object_6)",
+        "navigate(room_2, door_1)",
+        "navigate(object_7)",
+        "place(object_6, object_7)",
+    ]
+    assert plan.rooms == ("room_2", "room_1", "room_2")
+    assert "free(agent_rob)" in plan.steps[2].preconditions
+    assert "on(object_6, object_7)" in plan.steps[-1].effects
+    assert plan.validate() is None
+
+
+@pytest.mark.parametrize(
+    ("goal", "must_do"),
+    [
+        ("in(bottle, cabinet)", None),
+        ("holding(bottle)", ["open(object_2)", "pick(object_3)"]),
+        ("on(bottle, table), closed(fridge)", ["open(object_2)", "close(object_2)"]),
+        ("on(book, bed)", ["pick(object_6)", "pick(object_5)"]),  # the cup on the book goes first
+        ("in(apple, fridge)", ["open(object_2)", "place(object_10, object_2)"]),
+        ("in(apple, kitchen)", ["pick(object_10)"]),
+        ("poured(bottle, cup)", ["open(object_2)", "pick(object_3)", "pour(object_3, object_6)"]),
+        ("\\+ on(cup, book)", ["pick(object_6)"]),
+        ("near(robot, fridge)", ["navigate(object_2)"]),
+        ("in(robot, kitchen)", ["navigate(room_1, door_1)"]),
+        ("switched_on(fridge)", ["switch_on(object_2)"]),
+        ("on(X, table), apple(X), on(Y, desk), cup(Y)", ["place(object_10, object_4)", "place(object_6, object_8)"]),
+        ("forall(on(X, desk), on(X, bed))", ["place(object_9, object_7)"]),
+    ],
+)
+def test_plans_do_what_they_must_and_are_valid(flat: GraphFile, goal: str, must_do: list[str] | None) -> None:
+    plan = flat.plan(goal)
+    if must_do is None:
+        assert plan.status in ("unknown", "unsolvable")
+        return
+    assert plan.status == "solved", plan.problem
+    assert plan.validate() is None
+    assert set(must_do) <= set(told(plan))
+
+
+def test_what_holds_already_needs_no_step(flat: GraphFile) -> None:
+    plan = flat.plan("on(apple, plate)")
+    assert (plan.status, len(plan)) == ("solved", 0)
+
+
+def test_a_shut_door_is_opened_before_hands_are_full() -> None:
+    with GraphFile(small_flat(shut=True)) as file:
+        plan = file.plan("on(cup, bed)")
+        steps = told(plan)
+        assert steps.index("open(door_1)") < steps.index("pick(object_6)")
+        assert plan.validate() is None
+
+
+@pytest.mark.parametrize(
+    ("goal", "status", "code", "words"),
+    [
+        ("on(cup, tabel)", "unknown", "unknown_name", "tabel"),
+        ("fly(cup)", "unknown", "unknown_predicate", "fly/1"),
+        ("on(cup", "unknown", "syntax_error", ""),
+        ("cup(X)", "unknown", "not_a_plan_goal", "brought about"),
+        ("on(cup, bed) ; on(cup, desk)", "unknown", "not_a_plan_goal", "conjunction"),
+        ("on(X, bed)", "unknown", "unbound_variable", "say what it is"),
+        ("on(banana, table)", "unknown", "none_known", "no banana is known"),
+        ("on(X, bed), cup(X), attribute(X, color, red)", "unknown", "none_known", "attribute(X, color, red)"),
+        ("on(sofa, bed)", "unknown", "none_known", "no sofa is known"),
+        ("on(bed, desk)", "unsolvable", "impossible", "object_7 is a bed, which cannot be taken"),
+        ("open(cup)", "unsolvable", "impossible", "cannot be opened"),
+        ("in(fridge, cup)", "unsolvable", "impossible", "object_2 is a fridge"),
+        ("in(plate, cup)", "unsolvable", "impossible", "is larger than"),
+        ("switched_on(cup)", "unsolvable", "impossible", "cannot be switched"),
+        ("on(cup, apple)", "unsolvable", "impossible", "nothing can be put on"),
+        ("holding(cup), holding(apple)", "unsolvable", "no_plan", "no sequence"),
+    ],
+)
+def test_where_there_is_no_plan_the_problem_says_why(
+    flat: GraphFile, goal: str, status: str, code: str, words: str
+) -> None:
+    plan = flat.plan(goal)
+    assert plan.problem is not None
+    assert (plan.status, plan.problem.code) == (status, code), plan.problem
+    assert words in plan.problem.message
+    assert plan.steps == ()
+
+
+def test_a_door_that_is_too_narrow_is_named() -> None:
+    with GraphFile(small_flat(door_width=0.3)) as file:
+        plan = file.plan("on(cup, bed)")
+        assert plan.status == "unsolvable"
+        assert plan.problem is not None
+        assert "door_1 is 0.30 m wide" in plan.problem.message
+
+
+def test_nobody_knows_where_the_robot_is() -> None:
+    graph = small_flat()
+    changes = GraphChanges()
+    changes.delete_node("agent_rob", "gone")
+    graph.commit(changes, 2)
+    with GraphFile(graph) as file:
+        plan = file.plan("on(cup, bed)")
+        assert plan.status == "unknown"
+        assert plan.problem is not None
+        assert plan.problem.code == "robot_unknown"
+
+
+LARGE_GOALS = (
+    "on(cup, bed)",
+    "in(apple, fridge), closed(fridge)",
+    "on(book, desk), on(bottle, sofa)",
+    "holding(plate), in(robot, room_39)",
+    "on(cup, X), counter(X), in(X, room_33)",
+    "in(object_20, room_39)",
+    "\\+ on(cup, table), open(cabinet)",
+    "poured(bottle, cup), in(robot, kitchen)",
+    "near(robot, fridge), switched_on(fridge)",
+    "on(apple, bed), on(cup, bed), on(book, bed), on(plate, bed), on(bowl, bed)",
+)
+
+
+@pytest.mark.parametrize("goal", LARGE_GOALS)
+def test_plans_in_a_large_home_are_about_few_things_and_valid(large: GraphFile, goal: str) -> None:
+    plan = large.plan(goal)
+    assert plan.status == "solved", plan.problem
+    assert plan.validate() is None
+    assert plan.task is not None
+    assert len(plan.task.objects) < 80
+
+
+def test_far_goals_are_reached_room_by_room(large: GraphFile) -> None:
+    plan = large.plan("in(robot, room_39)")
+    doors = {frozenset(e.target for e in large.graph.edges("connects", source=d.id)) for d in large.graph.nodes()}
+    assert plan.rooms[0] == "room_0"
+    assert plan.rooms[-1] == "room_39"
+    assert all(frozenset(pair) in doors for pair in zip(plan.rooms, plan.rooms[1:], strict=False))
