@@ -120,8 +120,10 @@ modifier(Thing, Noun, to(Other, OtherGoal)) -->
     { nonvar(Noun), var(Thing) },
     noun_phrase(Other, _, _, OtherGoal).
 modifier(Thing, Noun, holds(Goal)) -->
-    [with], whatever(Y, Quantifier, Restriction), preposition(on), [it], !,
-    { quantified(Quantifier, Y, Restriction, on(Y, Thing), Goal), nonvar(Noun) }.
+    [with], whatever(Y, Quantifier, Restriction), preposition(Relation), ( [it] ; [them] ), !,
+    { nonvar(Noun),
+      Literal =.. [Relation, Y, Thing],
+      quantified(Quantifier, Y, Restriction, Literal, Goal) }.
 modifier(Thing, Noun, holds(Goal)) -->
     [with], !,
     having(Thing, Noun, Goal).
@@ -215,6 +217,12 @@ related(Relation, Thing, _, Goal) -->
 
 %   having(?Thing, +Noun, -Goal): a room has what is in it and its doors; another thing what is in it, on it or part of it.
 having(Thing, Noun, Goal) -->
+    having_one(Thing, Noun, First),
+    ( [and], having(Thing, Noun, More), { Goal = (First, More) }
+    ; { Goal = First }
+    ).
+
+having_one(Thing, Noun, Goal) -->
     noun_phrase(Other, OtherNoun, Quantifier, Restriction),
     { has(Noun, OtherNoun, Thing, Other, Literal),
       quantified(Quantifier, Other, Restriction, Literal, Goal) }.
@@ -301,10 +309,18 @@ placed(Thing, Noun, Goal) -->
       quantified(Quantifier, Other, Restriction, Statement, Goal) }.
 placed(Thing, Noun, Goal) -->
     preposition(Relation0),
+    { relation_between(Relation0, Noun, Relation) },
+    at_landmarks(Relation, Thing, Goal).
+
+%   at_landmarks(+Relation, ?Thing, -Goal): "on a desk or a shelf".
+at_landmarks(Relation, Thing, Goal) -->
     whatever(Other, Quantifier, Restriction),
-    { relation_between(Relation0, Noun, Relation),
-      Literal =.. [Relation, Thing, Other],
-      quantified(Quantifier, Other, Restriction, Literal, Goal) }.
+    { Literal =.. [Relation, Thing, Other],
+      quantified(Quantifier, Other, Restriction, Literal, First) },
+    (   [or], at_landmarks(Relation, Thing, More), { Goal = (First ; More) }
+    ;   [and], at_landmarks(Relation, Thing, More), { Goal = (First, More) }
+    ;   { Goal = First }
+    ).
 
 within_metres(=<, Metres) --> [within], metres(Metres), [of].
 within_metres(>, Metres) --> [more, than], metres(Metres), [from].
@@ -406,6 +422,11 @@ question([Sought], (Goal, Measure)) -->
       ->  Measure = area(Thing, Value), Sought = square_metres(Value)
       ;   Measure =.. [Property, Thing, Value], Sought = metres(Value)
       ) }.
+question([Sought], (Goal, Measure)) -->
+    [what], to_be(_), [the],
+    property(Property, Value, Sought), [of],
+    noun_phrase(Thing, _, _, Goal),
+    { Measure =.. [Property, Thing, Value] }.
 question([color(Color)], (Goal, color(Thing, Color))) -->
     [what], ( ( [color] ; [colour] ), to_be(_) ; to_be(_), [the], ( [color] ; [colour] ), [of] ),
     noun_phrase(Thing, _, _, Goal).
@@ -474,7 +495,9 @@ numeral(Number) -->
 
 counted(Thing, Noun, NounGoal, (NounGoal, Goal)) -->
     clause(Thing, Noun, Goal).
-counted(_, _, Goal, Goal) --> ( [are, there] ; [is, there] ), !.
+counted(Thing, Noun, NounGoal, Goal) -->
+    ( [are, there] ; [is, there] ), !,
+    ( placed(Thing, Noun, Place), { Goal = (NounGoal, Place) } ; { Goal = NounGoal } ).
 counted(Thing, _, NounGoal, (NounGoal, Goal, in(Thing, Whole))) -->
     ( [does] ; [do] ),
     noun_phrase(Whole, Noun, _, Goal),
@@ -489,3 +512,10 @@ dimension(height) --> ( [high] ; [tall] ).
 dimension(width) --> [wide].
 dimension(depth) --> [deep].
 dimension(size) --> ( [large] ; [big] ; [long] ).
+
+property(area, Value, square_metres(Value)) --> [area].
+property(volume, Value, cubic_metres(Value)) --> [volume].
+property(height, Value, metres(Value)) --> [height].
+property(width, Value, metres(Value)) --> [width].
+property(depth, Value, metres(Value)) --> [depth].
+property(size, Value, metres(Value)) --> ( [size] ; [length] ).

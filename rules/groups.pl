@@ -1,7 +1,8 @@
 :- module(groups,
           [ group/2,                    % ?Group, -Truth
             grouped/1,                  % ?Group
-            members/2                   % ?Group, -Conditions
+            members/2,                  % ?Group, -Conditions
+            never_seen/2                % ?Group, -Class
           ]).
 :- use_module(library(lists)).
 :- use_module(facts).
@@ -96,6 +97,15 @@ rests(A, Support, Truth) :-
     Truth \== false.
 rests(A, Support, true) :-
     edge(on, A, Support, _, _, _).
+
+%!  never_seen(?Group, -Class) is nondet.
+%
+%   A member of Group must be a Class, or one of several, of which none is known.
+
+never_seen(Group, Sort) :-
+    members(Group, Conditions),
+    member(is(_, Sort), Conditions),
+    \+ of_sort(_, Sort).
 
 of_sort(Thing, Sort) :-
     (   sort_of(Sort, Class)

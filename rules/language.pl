@@ -190,9 +190,10 @@ complaint(Words, problem(not_understood, Message, "say what is meant there: near
     !,
     format(string(Message), "a thing is missing after `~w`", [Last]).
 complaint(Words, problem(not_understood, Message, Hint)) :-
-    understood_part(Words, Part, [Next|_]),
+    understood_part(Words, Part, Rest),
     !,
     atomic_list_concat(Part, ' ', Spoken),
+    next_words(Rest, Next),
     format(string(Message), "I understand `~w`, but not `~w` after it", [Spoken, Next]),
     Hint = "say, for example, the red cup on the table, or near the oven".
 complaint(Words, problem(not_understood, Message, "say, for example, the red cup on the table, or near the oven")) :-
@@ -209,6 +210,12 @@ understood_part(Words, Part, Rest) :-
     keysort(Found, [_-Rest|_]),
     append(Part, Rest, Words),
     Part \== [].
+
+next_words(Rest, Next) :-
+    (   Rest = [A, B, C|_]
+    ->  atomic_list_concat([A, B, C], ' ', Next)
+    ;   atomic_list_concat(Rest, ' ', Next)
+    ).
 
 %   advice(?Word, -Message, -Hint): words that people use and that say too little, or that belong elsewhere.
 advice(Word, "`~w` does not say how much", "say the largest one, or larger than another, or taller than 1.2 m") :-

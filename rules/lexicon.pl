@@ -250,8 +250,8 @@ verb(plural, have) --> [have], !.
 %!  preposition(-Relation)// is nondet.
 
 preposition(in_front_of) --> [in, front, of].
-preposition(left_of) --> ( [to, the, left, of] ; [on, the, left, of] ; [left, of] ).
-preposition(right_of) --> ( [to, the, right, of] ; [on, the, right, of] ; [right, of] ).
+preposition(left_of) --> ( [to, the, left, of] ; [on, the, left, of] ; [left, of] ; [the, left, of] ).
+preposition(right_of) --> ( [to, the, right, of] ; [on, the, right, of] ; [right, of] ; [the, right, of] ).
 preposition(next_to) --> ( [next, to] ; [beside] ).
 preposition(on) --> ( [on, top, of] ; [on] ; [upon] ; [standing, on] ; [lying, on] ).
 preposition(in) --> ( [inside, of] ; [inside] ; [in] ; [within] ; [into] ).

@@ -483,8 +483,11 @@ possibly(Goal) :-
 possibly(Goal) :-
     grouped(Goal),
     !,
-    group(Goal, Truth),
-    Truth \== false.
+    (   group(Goal, Truth),
+        Truth \== false
+    ;   unobserved(world),
+        once(never_seen(Goal, _))
+    ).
 possibly(Goal) :-
     own_frame(Goal, B),
     viewer(Viewer),

@@ -11,7 +11,7 @@ from reasoning.terms import Atom
 
 __all__ = ["ambiguous", "answered", "is_phrase", "read"]
 
-_WORDS: Final = re.compile(r"[\w'`.,;!?-]+(\s+[\w'`.,;!?-]+)+")
+_WORDS: Final = re.compile(r"['`]?\w[\w'`.,;!?-]*(\s+['`]?\w[\w'`.,;!?-]*)+(\s+[.,;!?])?")
 _ARITHMETIC: Final = re.compile(r"[A-Z_]\w*\s+is\s+[-\dA-Z_]")
 _MOST_NAMED = 5
 

@@ -45,6 +45,11 @@ test(on_another_support_it_is_none, [ all(T == []),
     group(place_setting(plate_1, fork_1, knife_1), T).
 test(asked, true(Truth-Rows == true-[[plate_1]])) :- asked("place_setting(X, fork, knife)", Truth, Rows).
 
+test(of_what_was_never_seen_it_is_open, [ true(Truth == unknown),
+     setup(tell([unobserved(world)])), cleanup(( things(Facts), with(Facts) )) ]) :-
+    tell([label(knife_1, spoon)]),
+    asked("place_setting(X, _, _)", Truth, _).
+
 :- end_tests(groups).
 
 :- begin_tests(properties, [setup(with([ node(t, object), label(t, table), size(t, 0.6, 1.2, 0.7),
