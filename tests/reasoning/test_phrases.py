@@ -187,9 +187,7 @@ def test_the_is_not_asked_back_where_only_one_fits_all_that_is_said(world: tuple
     assert (reply.truth, reply.problem, len(reply.answers)) == ("true", None, 1)
 
 
-@pytest.mark.parametrize(
-    "text", ["near(X, oven)", "X is 3", "true", "oven", "X = oven", "cup(X), oven(Y)", "?- true"]
-)
+@pytest.mark.parametrize("text", ["near(X, oven)", "X is 3", "true", "oven", "X = oven", "cup(X), oven(Y)", "?- true"])
 def test_goals_are_no_phrases(text: str) -> None:
     assert not is_phrase(text)
 
