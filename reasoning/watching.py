@@ -34,7 +34,7 @@ UNSETTLED = frozenset({"timeout", "resource_limit"})
 
 
 Reads: TypeAlias = list[list[Atom]]
-"""For each predicate its name and the names that it was read with."""
+"""For each predicate its name and the names that it was read with. An atom stands for what was read the last time."""
 
 
 class Question(NamedTuple):
@@ -121,7 +121,7 @@ class Watching:
         return self._settle(*asked)[1]
 
     # -- asking -------------------------------------------------------------------------------------------
-    def _asked(self, batch: list[int], seconds: float) -> list[tuple[int, Term, float, Reads | None]]:
+    def _asked(self, batch: list[int], seconds: float) -> list[tuple[int, Term, float, Reads | Atom | None]]:
         """Results, times [s] and what was read for the first ones of a batch, all if time allows."""
         watches: list[Any] = [_watch_term(number, self._questions[number]) for number in batch]
         longest = max(self._questions[number].timeout_s for number in batch)
@@ -133,13 +133,13 @@ class Watching:
             return [(batch[0], result, time.monotonic() - began, None)]
         return [asked for number in batch for asked in self._asked([number], 0.0)]
 
-    def _settle(self, number: int, result: Term, took_s: float, reads: Reads | None) -> tuple[int, Any]:
+    def _settle(self, number: int, result: Term, took_s: float, reads: Reads | Atom | None) -> tuple[int, Any]:
         del self._pending[number]
         if took_s > SLOW_S:
             self._rests_until[number] = time.monotonic() + REST * took_s
         else:
             self._rests_until.pop(number, None)
-        if reads is not None:
+        if reads is not None and not isinstance(reads, Atom):
             self._reads.put(number, reads)
         if reads is None or _problem_code(result) in UNSETTLED:
             self._unsettled.add(number)

@@ -24,7 +24,7 @@ change the answers.
 %   the other until Seconds have passed; at least the first is asked. Replies is
 %   a list of asked(Id, Reply, Seconds, Reads): the time that it took, and for
 %   each predicate that was read a list of its name and the names that it was
-%   read with, `*` where none was given.
+%   read with, `*` where none was given; `same` where it read as the last time.
 
 ask_noting(Watches, Seconds, Replies) :-
     get_time(Start),
@@ -43,7 +43,7 @@ ask_until([watch(Id, Text, Options)|Watches], Deadline, [asked(Id, Reply, Took, 
         ( nb_setval(watching_noted, Noted),
           forget_derived,
           ask(Text, Options, Reply),
-          reads(Noted, Reads) ),
+          reads(Id, Noted, Reads) ),
         trie_destroy(Noted)),
     get_time(Now),
     Took is Now-Start,
@@ -58,7 +58,17 @@ forget_derived :-
 
 wrap(Head-Names) :-
     functor(Head, Predicate, _),
-    wrap_predicate(facts:Head, watching, Look, ( watching:note(Predicate, Names), Look )).
+    first_given(Names, Name, Choice),
+    wrap_predicate(facts:Head, watching, Look,
+                   ( Choice,
+                     nb_getval(watching_noted, Noted),
+                     ( trie_insert(Noted, Predicate-Name) -> true ; true ),
+                     Look )).
+
+%   first_given(+Arguments, -Name, -Choice): Choice is a goal that binds Name to the first argument that is an atom.
+first_given([], Name, Name = (*)).
+first_given([Argument|Arguments], Name, ( atom(Argument) -> Name = Argument ; Otherwise )) :-
+    first_given(Arguments, Name, Otherwise).
 
 %   A wrapper is left in place, since unwrap_predicate/2 of SWI-Prolog 9.0 gives back an atom that was not taken.
 let_through(Head-_) :-
@@ -87,17 +97,20 @@ names_in(Head, [A, B]) :-
     facts:store(_, 4, Predicate),
     Head =.. [Predicate, A, B, _].
 
-note(Predicate, Names) :-
-    (   member(Name, Names),
-        atom(Name)
-    ->  true
-    ;   Name = (*)
-    ),
-    nb_getval(watching_noted, Noted),
-    ignore(trie_insert(Noted, Predicate-Name)).
+:- dynamic told_reads/2.                % Id, SHA-1 of the sorted look-ups
 
-reads(Noted, Reads) :-
+%!  reads(+Id, +Noted, -Reads) is det.
+%
+%   What was looked up, or `same` where that is what was told of Id before.
+
+reads(Id, Noted, Reads) :-
     findall(Look, trie_gen(Noted, Look), Looks0),
-    keysort(Looks0, Looks),
-    group_pairs_by_key(Looks, Groups),
-    findall([Predicate|Names], member(Predicate-Names, Groups), Reads).
+    sort(Looks0, Looks),
+    variant_sha1(Looks, Hash),
+    (   told_reads(Id, Hash)
+    ->  Reads = same
+    ;   retractall(told_reads(Id, _)),
+        assertz(told_reads(Id, Hash)),
+        group_pairs_by_key(Looks, Groups),
+        findall([Predicate|Names], member(Predicate-Names, Groups), Reads)
+    ).
