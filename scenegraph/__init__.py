@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from scenegraph.config import WorldConfig
     from scenegraph.errors import Problem, SceneGraphError
     from scenegraph.graph import Box, Delta, Edge, Node, SceneGraph
+    from scenegraph.planning.plan import Plan, Step
     from scenegraph.service.client import Client
     from scenegraph.service.server import Server
     from scenegraph.simulation import simulate_home
@@ -49,6 +50,7 @@ _HOMES = {
     "scenegraph.config": ("WorldConfig",),
     "scenegraph.errors": ("Problem", "SceneGraphError"),
     "scenegraph.graph": ("Box", "Delta", "Edge", "Node", "SceneGraph"),
+    "scenegraph.planning.plan": ("Plan", "Step"),
     "scenegraph.service.client": ("Client",),
     "scenegraph.service.server": ("Server",),
     "scenegraph.simulation": ("simulate_home",),
@@ -74,6 +76,7 @@ __all__ = [
     "Node",
     "Place",
     "PlaceAnswer",
+    "Plan",
     "PoseCorrection",
     "Problem",
     "Region",
@@ -83,6 +86,7 @@ __all__ = [
     "SceneGraph",
     "SceneGraphError",
     "Server",
+    "Step",
     "TellResult",
     "Transform",
     "World",

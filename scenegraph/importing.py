@@ -18,7 +18,8 @@ from scenegraph.interop import read_graph
 from scenegraph.store import load_graph
 
 if TYPE_CHECKING:
-    from scenegraph.planning.plan import Plan
+    from scenegraph.planning.desk import PlanDesk
+    from scenegraph.planning.plan import Plan, PlanCheck
     from scenegraph.world import World
 
 __all__ = ["GraphFile", "graph_in", "open_map"]
@@ -65,10 +66,18 @@ class GraphFile:
 
     def plan(self, goal: str, *, robot: str | None = None, timeout_s: float = 10.0, engine: str = "pyperplan") -> Plan:
         """A plan, as `World.plan`; its steps have poses only where places of the graph tell them."""
-        from scenegraph.planning.desk import PlanDesk, run
+        from scenegraph.planning.desk import run
 
-        desk = PlanDesk(self.graph, self._knowledge, robots={}, radius_m=WorldConfig().robot_radius_m)
-        return run(desk.planning(goal, robot=robot, timeout_s=timeout_s), self._planner, engine)
+        return run(self._plan_desk().planning(goal, robot=robot, timeout_s=timeout_s), self._planner, engine)
+
+    def verify(self, plan: Plan, *, done: int = 0) -> PlanCheck:
+        """Whether a plan still leads to its goal, as `World.verify`."""
+        return self._plan_desk().verify(plan, done=done)
+
+    def _plan_desk(self) -> PlanDesk:
+        from scenegraph.planning.desk import PlanDesk
+
+        return PlanDesk(self.graph, self._knowledge, robots={}, radius_m=WorldConfig().robot_radius_m)
 
     @cached_property
     def _planner(self) -> Planner:

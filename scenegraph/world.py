@@ -45,7 +45,7 @@ from scenegraph.watching import AnswerChange, Watch, Watches
 
 if TYPE_CHECKING:
     from scenegraph.planning.desk import PlanDesk
-    from scenegraph.planning.plan import Plan
+    from scenegraph.planning.plan import Plan, PlanCheck
     from scenegraph.planning.planner import Planning
 
 __all__ = ["World"]
@@ -288,6 +288,19 @@ class World:
         """As `plan`, for whoever lets the planner work in a thread of its own: yields what is to be solved, is sent
         what was found, and returns the plan."""
         return self._plan_desk().planning(goal, robot=robot, timeout_s=timeout_s)
+
+    def verify(self, plan: Plan, *, done: int = 0) -> PlanCheck:
+        """Whether a plan still leads to its goal in the graph as it is now: for each step that is left whether it can
+        be taken, and if not why; its first `done` steps were taken."""
+        return self._plan_desk().verify(plan, done=done)
+
+    def replan(self, plan: Plan, *, done: int = 0, timeout_s: float = 10.0) -> Plan:
+        """The plan itself while it holds, its first `done` steps taken; else a new one for its goal from how things are
+        now."""
+        if self.verify(plan, done=done):
+            return plan
+        robot = None if plan.robot is None else plan.robot.removeprefix("agent_")
+        return self.plan(plan.goal, robot=robot, timeout_s=timeout_s)
 
     def _plan_desk(self) -> PlanDesk:
         from scenegraph.planning.desk import PlanDesk

@@ -11,8 +11,9 @@ from reasoning.knowledge import KnowledgeBase, Problem
 from reasoning.planning import Planner, PlannerUnavailable
 from scenegraph.graph import Node, SceneGraph
 from scenegraph.places import PlaceFinder
+from scenegraph.planning.checking import check_plan
 from scenegraph.planning.goals import GoalReader, Refused
-from scenegraph.planning.plan import Plan, PlanStatus, step_of
+from scenegraph.planning.plan import Plan, PlanCheck, PlanStatus, step_of
 from scenegraph.planning.planner import Planning, TaskPlanner
 from scenegraph.planning.poses import Standing
 from scenegraph.planning.situation import Situation
@@ -74,6 +75,14 @@ class PlanDesk:
             found = Plan("unknown", goal, problem=Problem(error.code, str(error), error.hint))
         found = self.with_steps(found)
         return replace(found, elapsed_ms=1e3 * (time.perf_counter() - began))
+
+    def verify(self, plan: Plan, *, done: int = 0) -> PlanCheck:
+        """See `World.verify`."""
+        if plan.task is None:
+            problem = "there is no plan" if plan.problem is None else plan.problem.message
+            return PlanCheck(False, (), (problem,))
+        robot = None if plan.robot is None else plan.robot.removeprefix("agent_")
+        return check_plan(plan, self.situation(robot), done)
 
     def with_steps(self, plan: Plan) -> Plan:
         """A plan with its steps, each with the pose to stand at."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 from mapping.geometry import SE3
 from reasoning.knowledge import Problem
 from reasoning.planning import Action, Fact, Task, fact_text
+from scenegraph.graph import Delta
 
 __all__ = ["Check", "Plan", "PlanCheck", "PlanStatus", "Step"]
 
@@ -105,10 +106,36 @@ class Plan:
             return "there is no plan"
         return validate(self.task, self.actions)
 
+    def broken_by(self, delta: Delta) -> tuple[str, ...]:
+        """What of a change of the graph may break the plan, in words: cheap, to be called with every delta; what it
+        means for the steps is for `World.verify` to say. Empty when the change is none of the plan's business."""
+        needs = {fact for action in self.actions for holds, fact in action.conditions if holds}
+        taken = {action.arguments[1] for action in self.actions if action.name == "pick"}
+        found = [f"{node_id} is gone" for node_id in delta.nodes.deleted if node_id in self.about]
+        for key in delta.edges.deleted:
+            told = {(key.relation, key.source, key.target), ("resting", key.source, key.target)}
+            if key.relation in ("on", "in") and told & needs:
+                found.append(f"{key.source} is no longer {key.relation} {key.target}")
+            elif key.relation == "connects" and key.source in self.about:
+                found.append(f"{key.source} no longer leads to {key.target}")
+        at_first = set() if self.task is None else self.task.init
+        for edge in delta.edges.put:
+            concerned = edge.source in self.about or edge.target in taken
+            if concerned and edge.relation in ("on", "in") and not _known(edge.key, at_first):
+                found.append(f"{edge.source} is {edge.relation} {edge.target}")
+        return tuple(found)
+
     @property
     def about(self) -> frozenset[str]:
         """The ids of all nodes that the plan has to do with."""
         return frozenset(self.task.objects) if self.task is not None else frozenset()
+
+
+def _known(key: tuple[str, str, str], facts: Set[Fact]) -> bool:
+    """Whether a plan was made knowing of an edge: facts tell it, or it is about which room a thing is in."""
+    return (
+        key in facts or ("resting", *key[1:]) in facts or ("kept", *key[1:]) in facts or ("beside", *key[1:]) in facts
+    )
 
 
 def step_of(action: Action, household: bool, target: SE3 | None) -> Step:

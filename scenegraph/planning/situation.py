@@ -80,7 +80,7 @@ class Situation:
         self._ungraspable: dict[str, str | None] = {}
         self._states = self._told_states()
         self.routes = Routes(graph, 2.0 * (body.radius_m if body else radius_m), self._states["opened"])
-        self.room = self._room_around(place)
+        self.room = self._room_of_agent() or self._room_around(place)
         self.site = self.room
         self.held = self._told_holding()
         self._moved: dict[str, Host | None] = {}
@@ -88,6 +88,10 @@ class Situation:
         self._kept: dict[str, str] = {}
         self._added: dict[str, set[str]] = {}
         self._extra: set[Fact] = set(self._told_poured())
+
+    def _room_of_agent(self) -> str | None:
+        rooms = [e.target for e in self.graph.edges("in", source=self.robot) if e.target in self.graph]
+        return next((room for room in rooms if self.graph.node(room).layer == "room"), None)
 
     # -- what was told -------------------------------------------------------------------------------------
     def _told_states(self) -> dict[str, dict[str, str]]:

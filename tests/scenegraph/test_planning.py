@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from scenegraph.graph import GraphChanges
+from scenegraph.graph import Delta, Edge, GraphChanges, SceneGraph
 from scenegraph.importing import GraphFile
 from scenegraph.planning import Plan
 from tests.support.errands import large_home, small_flat
@@ -177,3 +177,66 @@ def test_far_goals_are_reached_room_by_room(large: GraphFile) -> None:
     assert plan.rooms[0] == "room_0"
     assert plan.rooms[-1] == "room_39"
     assert all(frozenset(pair) in doors for pair in zip(plan.rooms, plan.rooms[1:], strict=False))
+
+
+def moved(graph: SceneGraph, thing: str, host: str, stamp_ns: int = 5_000_000_000) -> Delta:
+    """Somebody puts a thing on another."""
+    changes = GraphChanges()
+    for edge in graph.edges("on", source=thing):
+        changes.delete_edge("on", thing, edge.target)
+        changes.delete_edge("supports", edge.target, thing)
+    put = {"value": 1.0, "first_seen_ns": stamp_ns, "last_seen_ns": stamp_ns}
+    changes.put(Edge(relation="on", source=thing, target=host, **put))
+    changes.put(Edge(relation="supports", source=host, target=thing, **put))
+    return graph.commit(changes, stamp_ns)
+
+
+def test_a_plan_that_nothing_disturbs_holds_to_its_end(flat: GraphFile) -> None:
+    for goal in ("on(cup, bed)", "on(book, bed), closed(fridge)", "in(apple, fridge)", "poured(bottle, cup)"):
+        plan = flat.plan(goal)
+        for done in range(len(plan) + 1):
+            check = flat.verify(plan, done=done)
+            if done == 0:
+                assert check.holds, check.reasons
+            assert len(check.checks) == len(plan) - done
+
+
+def test_what_was_taken_away_is_told_with_where_it_is_now() -> None:
+    with GraphFile(small_flat()) as file:
+        plan = file.plan("on(cup, bed)")
+        assert file.verify(plan)
+        delta = moved(file.graph, "object_6", "object_1")
+        assert plan.broken_by(delta)
+        check = file.verify(plan)
+        assert not check
+        assert [c.step.action for c in check.checks if not c.holds] == ["pick"]
+        assert "object_6 is no longer on object_5 (book): it is on object_1 (counter) since 5.0 s" in check.reasons
+        again = file.plan(plan.goal)
+        assert file.verify(again)
+        assert "navigate(object_1)" in told(again)
+
+
+def test_what_was_put_on_a_thing_that_shall_be_taken_is_told() -> None:
+    with GraphFile(small_flat()) as file:
+        plan = file.plan("on(plate, bed), on(apple, table)")
+        assert file.verify(plan)
+        delta = moved(file.graph, "object_6", "object_9")
+        assert plan.broken_by(delta)
+        assert any("object_6 is on object_9 (plate)" in reason for reason in file.verify(plan).reasons)
+
+
+def test_a_change_elsewhere_is_none_of_the_plans_business() -> None:
+    with GraphFile(small_flat()) as file:
+        plan = file.plan("near(robot, fridge)")
+        delta = moved(file.graph, "object_10", "object_7")
+        assert plan.broken_by(delta) == ()
+        assert file.verify(plan)
+
+
+def test_what_is_gone_is_told() -> None:
+    with GraphFile(small_flat()) as file:
+        plan = file.plan("on(cup, bed)")
+        changes = GraphChanges()
+        changes.delete_node("object_6", "seen to be away")
+        assert "object_6 is gone" in plan.broken_by(file.graph.commit(changes, 9))
+        assert any(reason.startswith("object_6 is gone: seen to be away") for reason in file.verify(plan).reasons)

@@ -13,7 +13,7 @@ from scenegraph.doctor import MODULES
 ROOT = Path(__file__).parents[2]
 OURS = ("mapping", "reasoning", "rules", "scenegraph")
 DISTRIBUTIONS = {**MODULES, "pydantic_core": "pydantic"}
-OPTIONAL = {"spark_dsg", "pyarrow"}  # imported where an export is asked for, with an error that says what to install
+OPTIONAL = {"spark_dsg", "pyarrow", "py_trees"}  # extras, imported where an export or a behaviour tree is asked for
 
 
 def imported() -> dict[str, Path]:
