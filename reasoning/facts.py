@@ -22,6 +22,7 @@ FACTS: Final[dict[tuple[str, int], int]] = {
     ("position", 4): 1,
     ("size", 4): 1,
     ("yaw", 2): 1,
+    ("outline", 2): 1,
     ("confidence", 2): 1,
     ("seen", 3): 1,
     ("attribute", 3): 2,
@@ -39,6 +40,7 @@ SYMMETRIC: Final = frozenset({"gap", "path_gap_upper", "path_gap_lower", "footpr
 
 _IDS: Final[dict[tuple[str, int], tuple[int, ...]]] = {
     **{key: (0,) for key in FACTS if key[0] in {"node", "label", "name", "position", "size", "yaw", "confidence"}},
+    ("outline", 2): (0,),
     ("seen", 3): (0,),
     ("attribute", 3): (0,),
     ("measured", 3): (1,),

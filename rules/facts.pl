@@ -5,6 +5,7 @@
             position/4,                 % ?Id, ?X, ?Y, ?Z
             size/4,                     % ?Id, ?SX, ?SY, ?SZ
             yaw/2,                      % ?Id, ?Radians
+            outline/2,                  % ?Id, ?Corners
             confidence/2,               % ?Id, ?Confidence
             seen/3,                     % ?Id, ?FirstNs, ?LastNs
             attribute/3,                % ?Id, ?Key, ?Value
@@ -36,7 +37,7 @@ unobserved space left it open.
 */
 
 :- dynamic
-    node/2, label/2, named/2, position/4, size/4, yaw/2, confidence/2, seen/3,
+    node/2, label/2, named/2, position/4, size/4, yaw/2, outline/2, confidence/2, seen/3,
     attribute/3, told/1, class_info/3, parameter/2, unobserved/1,
     stored_edge/6,                      % A, B, Relation, Value, Threshold, Confidence
     store/3,                            % measurement name, arity, predicate that keeps it
@@ -68,6 +69,11 @@ current_revision(0).
 %!  yaw(?Id, ?Angle) is nondet.
 %
 %   Id's box is turned by Angle about z [rad].
+
+%!  outline(?Id, ?Corners:list) is nondet.
+%
+%   The convex ground projection of what was seen of Id: at least three corners
+%   [X, Y], counterclockwise [m]. It is told to who asks for it, and not else.
 
 %!  confidence(?Id, ?Confidence) is nondet.
 %
@@ -214,6 +220,7 @@ stored(name(Id, N), named(Id, N), named(Id, _)).
 stored(position(Id, X, Y, Z), position(Id, X, Y, Z), position(Id, _, _, _)).
 stored(size(Id, X, Y, Z), size(Id, X, Y, Z), size(Id, _, _, _)).
 stored(yaw(Id, A), yaw(Id, A), yaw(Id, _)).
+stored(outline(Id, C), outline(Id, C), outline(Id, _)).
 stored(confidence(Id, C), confidence(Id, C), confidence(Id, _)).
 stored(seen(Id, F, L), seen(Id, F, L), seen(Id, _, _)).
 stored(attribute(Id, K, V), attribute(Id, K, V), attribute(Id, K, _)).
@@ -248,6 +255,7 @@ forget(Id) :-
     retractall(position(Id, _, _, _)),
     retractall(size(Id, _, _, _)),
     retractall(yaw(Id, _)),
+    retractall(outline(Id, _)),
     retractall(confidence(Id, _)),
     retractall(seen(Id, _, _)),
     retractall(attribute(Id, _, _)),
@@ -265,8 +273,8 @@ forget(Id) :-
 
 forget_everything :-
     forall(( member(Name/Arity,
-                    [ node/2, label/2, named/2, position/4, size/4, yaw/2, confidence/2, seen/3, attribute/3,
-                      told/1, class_info/3, parameter/2, unobserved/1, stored_edge/6 ])
+                    [ node/2, label/2, named/2, position/4, size/4, yaw/2, outline/2, confidence/2, seen/3,
+                      attribute/3, told/1, class_info/3, parameter/2, unobserved/1, stored_edge/6 ])
            ; store(_, Kept, Name), Arity is Kept-1 ),
            ( functor(Any, Name, Arity), retractall(Any) )).
 

@@ -6,6 +6,7 @@
             lies_between/4,             % ?A, ?B, ?C, -Share
             between_share/1             % -Share
           ]).
+:- use_module(library(apply)).
 :- use_module(library(lists)).
 :- use_module(facts).
 :- use_module(spatial).
@@ -121,7 +122,8 @@ between_share(0.5).
 %!  lies_between(?A, ?B, ?C, -Share) is nondet.
 %
 %   Share, at least between_share/1, of A's footprint lies inside the hull of
-%   B's and C's and outside both. Footprints are those of the oriented boxes.
+%   B's and C's and outside both. Footprints are the outlines that were measured,
+%   else those of the oriented boxes.
 
 lies_between(A, B, C, Share) :-
     footprint(B, PolygonB),
@@ -129,10 +131,13 @@ lies_between(A, B, C, Share) :-
     B \== C,
     append(PolygonB, PolygonC, Corners),
     convex_hull(Corners, Hull),
+    bounds(Hull, Bounds),
     between_share(Enough),
     footprint(A, PolygonA),
     A \== B,
     A \== C,
+    bounds(PolygonA, BoundsA),
+    overlapping(BoundsA, Bounds),
     area(PolygonA, Whole),
     Whole > 0,
     common_area(PolygonA, Hull, Inside),
@@ -144,9 +149,13 @@ lies_between(A, B, C, Share) :-
     Share is (Inside-AreaB-AreaC+AreaBoth)/Whole,
     Share >= Enough.
 
-%   footprint(?Thing, -Corners): of the oriented box, counterclockwise, as X-Y.
+%   footprint(?Thing, -Corners): as it was measured, else of the oriented box, counterclockwise, as X-Y.
+footprint(Thing, Corners) :-
+    outline(Thing, Listed),
+    findall(X-Y, member([X, Y], Listed), Corners).
 footprint(Thing, [A, B, C, D]) :-
     size(Thing, SX, SY, _),
+    \+ outline(Thing, _),
     node(Thing, Layer),
     memberchk(Layer, [object, structure, agent]),
     position(Thing, X, Y, _),
@@ -161,6 +170,18 @@ footprint(Thing, [A, B, C, D]) :-
 corner(X, Y, UX, UY, VX, VY, U, V, CX-CY) :-
     CX is X+U*UX+V*VX,
     CY is Y+U*UY+V*VY.
+
+%   bounds(+Corners, -Bounds): of the upright rectangle about a polygon.
+bounds([X-Y|Corners], Bounds) :-
+    foldl(widened, Corners, bounds(X, X, Y, Y), Bounds).
+
+widened(X-Y, bounds(X0, X1, Y0, Y1), bounds(X2, X3, Y2, Y3)) :-
+    X2 is min(X, X0), X3 is max(X, X1),
+    Y2 is min(Y, Y0), Y3 is max(Y, Y1).
+
+overlapping(bounds(A0, A1, B0, B1), bounds(C0, C1, D0, D1)) :-
+    A0 < C1, C0 < A1,
+    B0 < D1, D0 < B1.
 
 common_area(A, B, Area) :-
     clipped(A, B, Common),

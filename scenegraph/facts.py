@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from numpy.typing import NDArray
+
 from reasoning.knowledge import DerivedEdge
 from reasoning.terms import Atom, Compound, Term, Var
 from scenegraph.graph import Edge, EdgeKey, Node
@@ -19,6 +21,8 @@ __all__ = [
     "edge_key_fact",
     "measurement_facts",
     "node_facts",
+    "outline_fact",
+    "outline_key_fact",
     "value_of",
 ]
 
@@ -58,6 +62,16 @@ def node_facts(node: Node) -> Iterator[Compound]:
             yield Compound("attribute", (subject, Atom(key), Atom("true" if value else "false")))
         elif isinstance(value, (int, float, str)):
             yield Compound("attribute", (subject, Atom(key), value))
+
+
+def outline_fact(node_id: str, corners: NDArray[Any]) -> Compound:
+    """The ground projection of a thing: corners (K, 2) in order [m]."""
+    return Compound("outline", (Atom(node_id), corners.round(_DECIMALS).tolist()))
+
+
+def outline_key_fact(node_id: str) -> Compound:
+    """A ground projection by what names it, for its deletion."""
+    return Compound("outline", (Atom(node_id), Var("Corners")))
 
 
 def edge_fact(edge: Edge) -> Compound:

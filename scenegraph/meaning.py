@@ -48,6 +48,7 @@ class Meaning:
     def __init__(self, knowledge: KnowledgeBase, config: WorldConfig) -> None:
         self.knowledge = knowledge
         self._facts_of: dict[str, frozenset[Compound]] = {}
+        self._outlined: dict[str, Any] = {}
         self._plane_rules = PlaneRules.of(knowledge)
         self._containers: dict[str, bool] = {}
         self._structural: dict[str, bool] = {}
@@ -124,6 +125,8 @@ class Meaning:
             fresh = frozenset(facts.node_facts(node))
             put += fresh - self._facts_of.get(node.id, frozenset())
             self._facts_of[node.id] = fresh
+            if self._outlined.pop(node.id, None) is not None:
+                deleted.append(facts.outline_key_fact(node.id))
         put += [facts.edge_fact(step) for step in changes.steps if isinstance(step, Edge) and is_told(step)]
         deleted += [
             facts.edge_key_fact(step)
@@ -132,6 +135,7 @@ class Meaning:
         ]
         for node_id in gone:
             self._facts_of.pop(node_id, None)
+            self._outlined.pop(node_id, None)
         self.knowledge.update(put=put, deleted=deleted, forget=sorted(gone))
 
         resettled = {key[1] for key in (*measured.put, *measured.deleted) if key[0] in CONTACTS}
@@ -186,6 +190,15 @@ class Meaning:
         """Tell the rules what was measured for a question, in the place of what was measured for the one before."""
         put, deleted = facts.measurement_facts(measured)
         self.knowledge.update(put=put, deleted=deleted)
+
+    def outline(self, hulls: Mapping[str, Any]) -> None:
+        """Tell the rules the ground projections of things, corners (K, 2) [m] by id: of those that are new or changed.
+
+        They know it until the thing changes.
+        """
+        fresh = {i: hull for i, hull in hulls.items() if self._outlined.get(i) is not hull and i in self._facts_of}
+        self.knowledge.update(put=[facts.outline_fact(i, hull) for i, hull in fresh.items()])
+        self._outlined.update(fresh)
 
     # -- questions ----------------------------------------------------------------------------------------
     def ask(

@@ -37,7 +37,7 @@ from scenegraph.graph import LAYERS, Delta, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 from scenegraph.labels import Labels
 from scenegraph.meaning import Meaning
-from scenegraph.perception.access import Access, asks_for, outdated
+from scenegraph.perception.access import Access, asks_between, asks_for, outdated
 from scenegraph.perception.perception import Perception
 from scenegraph.places import PlaceFinder
 from scenegraph.realigning import Corrections, Sightings, motions
@@ -246,7 +246,8 @@ class World:
         return self.watches.add(goal, robot, limit, timeout_s, on_change)
 
     def _measure_for(self, goal: str) -> None:
-        """Measure what a goal asks for that is not kept: what is seen, reached and blocked."""
+        """Measure what a goal asks for that is not kept: what is seen, reached and blocked, and the outlines of what
+        may lie between."""
         perception = self.perception
         access = Access(
             self.graph, perception.objects.shapes, self.map.occupancy, perception.building, self.robots,
@@ -256,6 +257,9 @@ class World:
         measured.deleted = outdated(self._asked_for, measured)
         self._asked_for = set(measured.put)
         self.meaning.note(measured)
+        if asks_between(goal):
+            shapes = perception.objects.shapes
+            self.meaning.outline({thing: s.outline for thing, s in shapes.items() if len(s.outline) > 2})
 
     def where(self, phrase: str, *, robot: str | None = None) -> Place:
         """Where a phrase (`near the oven`) or a goal with one variable (`cup(X)`) is: nodes, region, reachable

@@ -28,7 +28,7 @@ from scenegraph.perception.shapes import Shape
 
 Array: TypeAlias = NDArray[Any]
 
-WORDS = frozenset({"visible_from", "reachable", "can_reach", "blocks"})
+WORDS = frozenset({"visible_from", "reachable", "can_reach", "blocks", "between"})
 SIGHT_M = 10.0
 """Farther than this nothing is looked for."""
 SIGHT_RAYS = 48
@@ -291,6 +291,11 @@ def _lengths(passable: Array, start: Array, radius: float) -> Array:
 def asks_for(goal: str) -> bool:
     """Whether a goal has a word that must be measured for."""
     return not WORDS.isdisjoint(_NAME.findall(goal))
+
+
+def asks_between(goal: str) -> bool:
+    """Whether a goal asks what lies between things, for which their ground projections must be known."""
+    return "between" in _NAME.findall(goal)
 
 
 def outdated(before: Iterable[tuple[str, ...]], now: MeasurementChange) -> list[tuple[str, ...]]:

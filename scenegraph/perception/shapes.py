@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -43,6 +44,8 @@ FOOTING_HEIGHT_M = 0.03
 """Columns whose lowest material lies within this of the lowest point carry the thing (`contact_gap` in the rules)."""
 AS_NEAR_M = 0.02
 """Pairs of points that are no farther apart than this beyond the nearest are as near."""
+OUTLINE_M = 0.002
+"""So far a ground projection that is told may be off the hull of the points."""
 CLOSE_M = 0.15
 """Nearer than this it matters to the centimetre how far two things are apart."""
 MOST_COMPARED = 400_000
@@ -93,6 +96,14 @@ class Shape:
         """Convex ground projection: corners (K, 2), counter-clockwise."""
         hull: Array = shapes.convex_hull(self.points[:, :2].astype(np.float64))
         return hull
+
+    @cached_property
+    def outline(self) -> Array:
+        """The hull (K, 2) less the corners that no side would miss by more than OUTLINE_M."""
+        if len(self.hull) < 3:
+            return self.hull
+        corners: Array = shapely.get_coordinates(shapely.Polygon(self.hull).simplify(OUTLINE_M))[:-1]
+        return corners
 
     @cached_property
     def area(self) -> float:

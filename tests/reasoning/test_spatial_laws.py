@@ -12,6 +12,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import affinity
+from shapely.geometry.polygon import orient
 
 from reasoning import KnowledgeBase
 from tests.reasoning.homes import fact
@@ -179,6 +180,33 @@ def test_between_is_the_share_of_the_footprint_in_the_hull_of_two_and_outside_bo
             rows = empty.call(goal)
             if abs(share - 0.5) > 1e-6:
                 assert [round(float(row["S"]), 5) for row in rows] == ([round(share, 5)] if share >= 0.5 else [])  # type: ignore[arg-type]
+
+
+ground = st.integers(-200, 200).map(lambda centimetres: centimetres / 100)
+hulls = st.lists(st.tuples(ground, ground), min_size=3, max_size=9).map(
+    lambda corners: shapely.MultiPoint(corners).convex_hull
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(three=st.tuples(hulls, hulls, hulls).filter(lambda three: all(hull.area > 0.05 for hull in three)))
+def test_between_goes_by_the_outlines_that_were_told_and_not_by_the_boxes(
+    empty: KnowledgeBase, three: tuple[Any, Any, Any]
+) -> None:
+    a, b, c = three
+    both = shapely.union(b, c)
+    share = a.intersection(both.convex_hull).difference(both).area / a.area
+    facts = []
+    for name, hull in zip("abc", (a, b, c), strict=True):
+        corners = shapely.get_coordinates(orient(hull))[:-1].tolist()
+        facts += [
+            fact("node", name, "object"), fact("position", name, 0.0, 0.0, 0.0), fact("size", name, 9.0, 9.0, 1.0),
+            fact("outline", name, corners),
+        ]  # fmt: skip
+    empty.update(facts, forget=[*THINGS, *ROOMS])
+    rows = empty.call("lies_between(a, b, c, S)")
+    if abs(share - 0.5) > 1e-6:
+        assert [round(float(row["S"]), 5) for row in rows] == ([round(share, 5)] if share >= 0.5 else [])  # type: ignore[arg-type]
 
 
 @settings(max_examples=60, deadline=None)

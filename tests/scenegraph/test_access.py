@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,6 +14,7 @@ from mapping.observations import RobotDescription
 from mapping.occupancy import OccupancyMap
 from scenegraph.graph import Edge, GraphChanges, Node, SceneGraph
 from scenegraph.perception.access import Access
+from scenegraph.perception.relations import MeasurementChange
 from scenegraph.world import World
 from tests.support.furnishing import Plan, box, thing
 from tests.support.small_home import BEDROOM, id_of, robot_at, stamp
@@ -66,6 +68,29 @@ def test_nothing_blocks_a_door_that_is_clear(copy_home: Copy) -> None:
     world = copy_home()
     world.integrate(robot(radius_m=0.2))
     assert world.ask("blocks(X, D)").truth == "false"
+
+
+def test_what_lies_between_is_asked_of_outlines_which_are_forgotten_when_their_thing_changes(copy_home: Copy) -> None:
+    world = copy_home()
+    outlines = "outline(X, Corners)"
+    assert not world.meaning.knowledge.call(outlines), "nobody asked"
+    world.ask("between(X, table, oven)")
+    told = {str(row["X"]): np.array(row["Corners"]) for row in world.meaning.knowledge.call(outlines)}
+    shapes = world.perception.objects.shapes
+    assert told.keys() == {name for name, shape in shapes.items() if len(shape.hull) > 2}
+    for name, corners in told.items():
+        hull, outline = (shapely.Polygon(ring) for ring in (shapes[name].hull, corners))
+        assert outline.is_valid
+        assert outline.exterior.is_ccw
+        assert shapely.hausdorff_distance(hull, outline) < 0.003
+    table = world.graph.node(id_of(world, "table"))
+    changes = GraphChanges()
+    changes.put(table.replace(confidence=0.5))
+    world.meaning.infer(changes, MeasurementChange(), [], world.graph, "test", stamp(500))
+    left = {str(row["X"]) for row in world.meaning.knowledge.call(outlines)}
+    assert left == told.keys() - {table.id}
+    world.ask("between(X, table, oven)")
+    assert {str(row["X"]) for row in world.meaning.knowledge.call(outlines)} == told.keys()
 
 
 def test_nothing_is_reached_through_a_wall(copy_home: Copy) -> None:
