@@ -12,7 +12,8 @@
 /** <module> What kinds of things there are in a home
 
 A class is its label in lower snake case. kind_of/2 is the tree below; a label
-space may extend it with its own parents, class_info(Class, Kind, Parent). There
+space may extend it with its own parents, class_info(Class, Kind, Parent), and an
+operator with told(subclass(Class, Parent)). There
 is no list of allowed labels: a label that is not named here is a class all the
 same, without a kind.
 
@@ -22,7 +23,8 @@ same, without a kind.
 
 %!  kind_of(?Class, ?Kind) is nondet.
 %
-%   Kind is a direct parent of Class, here or in a label space.
+%   Kind is a direct parent of Class, here, in a label space, or as an operator
+%   told with subclass(Class, Kind), of which there may be several.
 
 kind_of(Class, Kind) :-
     kind(Class, Kind).
@@ -30,6 +32,10 @@ kind_of(Class, Kind) :-
     class_info(Class, _, Kind),
     Kind \== none,
     \+ kind(Class, Kind).
+kind_of(Class, Kind) :-
+    told(subclass(Class, Kind)),
+    \+ kind(Class, Kind),
+    \+ class_info(Class, _, Kind).
 
 % The fabric of a building
 kind(wall, building_element).           kind(floor, building_element).
@@ -186,6 +192,8 @@ class(Class) :-
     ;   kind(_, Class) -> true
     ;   class_info(Class, _, _) -> true
     ;   class_info(_, _, Class), Class \== none -> true
+    ;   told(subclass(Class, _)) -> true
+    ;   told(subclass(_, Class)) -> true
     ;   label(_, Class) -> true
     ).
 class(Class) :-
@@ -193,6 +201,8 @@ class(Class) :-
     ;   kind(_, Class)
     ;   class_info(Class, _, _)
     ;   class_info(_, _, Class), Class \== none
+    ;   told(subclass(Class, _))
+    ;   told(subclass(_, Class))
     ;   label(_, Class)
     ).
 

@@ -368,7 +368,11 @@ def plan(
 
 @app.command()
 def tell(
-    statement: Annotated[str, typer.Argument(help="Such as \"rename(room_2, 'guest room')\".")],
+    statement: Annotated[str | None, typer.Argument(help="Such as \"rename(room_2, 'guest room')\".")] = None,
+    taxonomy: Annotated[
+        Path | None,
+        typer.Option(help="Tell a tree of classes instead: OWL or RDFS (.owl .rdf .ttl), .csv, indented .txt."),
+    ] = None,
     map_path: Map = None,
     connect: Connect = None,
     world: WorldName = "home",
@@ -377,10 +381,18 @@ def tell(
     as_json: Json = False,
 ) -> None:
     """State something about the world; it is kept in the history."""
+    from scenegraph.interop import read_taxonomy
+
     printer = Printer(json=as_json)
+    if (statement is None) == (taxonomy is None):
+        raise typer.BadParameter("a statement or --taxonomy is needed, and not both")
+    statements = [statement] if statement is not None else read_taxonomy(str(taxonomy)).statements()
     with _opened(map_path, connect, world) as target:
-        told = target.tell(statement, author=author, reason=reason)
-        if map_path is not None and told.accepted:
+        for one in statements:
+            told = target.tell(one, author=author, reason=reason)
+            if not told.accepted:
+                break
+        if map_path is not None and (told.accepted or len(statements) > 1):
             target.save(map_path)
     problem = plain_problem(told.problem)
     if as_json:

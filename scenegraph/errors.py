@@ -12,6 +12,7 @@ SceneGraphError
 ├── HistoryUnavailable     a time before the remembered past
 ├── ExportError            a format that is not known, or a file that cannot be written
 ├── GraphUnreadable        a file that holds no graph in a format that is known (also a ValueError)
+├── TaxonomyUnreadable     a file that holds no tree of classes, or one that runs in a circle (also a ValueError)
 ├── JoinRefused            two graphs that cannot be laid on one another, or in more than one way
 ├── PictureError           a picture that cannot be drawn from what was given
 └── StoreError             a stored world that cannot be written or read
@@ -51,6 +52,7 @@ __all__ = [
     "StoreError",
     "StoreForeign",
     "StoreTooNew",
+    "TaxonomyUnreadable",
     "UnknownNode",
     "nearest",
     "one_line",
@@ -146,6 +148,12 @@ class GraphUnreadable(SceneGraphError, ValueError):
     """A file or document is no graph in a format that is known, or a damaged one; the message names the place."""
 
     code = "graph_unreadable"
+
+
+class TaxonomyUnreadable(SceneGraphError, ValueError):
+    """A file holds no tree of classes in a format that is known; the message names the line, or the circle."""
+
+    code = "taxonomy_unreadable"
 
 
 class JoinRefused(SceneGraphError):

@@ -13,6 +13,7 @@ from scenegraph import facts, phrases
 from scenegraph.answers import Answers
 from scenegraph.config import WorldConfig
 from scenegraph.doubts import CONTRARY, Doubts
+from scenegraph.errors import InvalidStatement
 from scenegraph.graph import Edge, EdgeKey, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 from scenegraph.perception.relations import CONTACTS, MeasurementChange
@@ -238,11 +239,26 @@ class Meaning:
 
     # -- statements ---------------------------------------------------------------------------------------
     def accept(self, told: Statement) -> None:
-        """Tell the rules a fact, or that it holds no longer; other statements reach them through the graph."""
+        """Tell the rules a fact, or that it holds no longer; other statements reach them through the graph.
+
+        Raises `InvalidStatement` when a class would be below itself.
+        """
+        if told.kind == "subclass":
+            self._place_class(*(facts.class_atom(str(name)) for name in told.args))
         if told.kind == "fact":
             self.knowledge.update(put=[Compound("told", told.args)])
         elif told.kind == "retract":
             self.knowledge.update(deleted=[Compound("told", told.args)])
+
+    def _place_class(self, below: str, above: str) -> None:
+        """Put one class below another in the taxonomy."""
+        if below == above or self.knowledge.call(Compound("subclass", (Atom(above), Atom(below))), limit=1):
+            raise InvalidStatement(
+                f"subclass: {above} is below {below} already, so that the taxonomy would run in a circle"
+            )
+        self.knowledge.update(put=[Compound("told", (Compound("subclass", (Atom(below), Atom(above))),))])
+        self._containers.clear()
+        self._structural.clear()
 
     def remember(
         self,

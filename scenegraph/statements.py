@@ -15,6 +15,7 @@ __all__ = ["FORMS", "Statement", "problem", "read"]
 FORMS = {
     ("fact", 1): "fact(Term)",
     ("retract", 1): "retract(Term)",
+    ("subclass", 2): "subclass(Class, Super)",
     ("rename", 2): "rename(Id, Name)",
     ("set", 3): "set(Id, Attribute, Value)",
     ("merge", 2): "merge(Id, Id)",

@@ -8,7 +8,8 @@ parquet   : the same table, for data frames (needs the package pyarrow)
 gltf      : boxes, outlines of rooms and, if it is given, the surface, for viewers: binary glTF
 json      : our own snapshot
 
-`read_graph` reads all but tables and glTF.
+`read_graph` reads all but tables and glTF. `read_taxonomy` reads trees of classes: OWL and RDFS as RDF/XML or Turtle,
+indented text, and tables of `child,parent`.
 """
 
 from scenegraph.interop.export import FORMATS, Format, export_graph, render_graph
@@ -19,10 +20,12 @@ from scenegraph.interop.reading import read_graph
 from scenegraph.interop.spark_dsg import spark_dsg_document
 from scenegraph.interop.spark_dsg_reading import read_spark_dsg
 from scenegraph.interop.table import object_rows, objects_csv, objects_parquet
+from scenegraph.interop.taxonomy import Taxonomy, read_taxonomy
 
 __all__ = [
     "FORMATS",
     "Format",
+    "Taxonomy",
     "export_graph",
     "from_networkx",
     "gltf_bytes",
@@ -35,6 +38,7 @@ __all__ = [
     "read_graphml",
     "read_node_link",
     "read_spark_dsg",
+    "read_taxonomy",
     "render_graph",
     "spark_dsg_document",
 ]

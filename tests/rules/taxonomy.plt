@@ -7,7 +7,8 @@
 
 :- begin_tests(taxonomy, [setup(with([ label(mug_1, mug), label(x_1, gizmo), label(x_2, espresso_cup),
                                        class_info(espresso_cup, thing, cup), class_info(gizmo, thing, none),
-                                       class_info(loop_a, thing, loop_b), class_info(loop_b, thing, loop_a) ]))]).
+                                       told(subclass(pen_cup, cup)), told(subclass(pen_cup, toy)),
+                                       label(x_3, pen_cup), class_info(loop_a, thing, loop_b), class_info(loop_b, thing, loop_a) ]))]).
 
 test(a_class_is_below_itself, [nondet]) :- subclass(chair, chair).
 test(the_way_up, true(Up == [armchair, seat, furniture, artefact])) :- findall(S, subclass(armchair, S), Up).
@@ -23,7 +24,7 @@ test(every_class_has_at_most_one_kind_here, true(Twice == [])) :-
     findall(C, ( taxonomy:kind(C, A), taxonomy:kind(C, B), A @< B ), Twice).
 test(nothing_is_below_itself_by_way_of_others, true(Circles == [])) :-
     findall(C, ( taxonomy:kind(C, _), subclass(C, S), S \== C, taxonomy:kind(S, C) ), Circles).
-test(labels_count_upwards, true(Ids == [mug_1, x_2])) :-
+test(labels_count_upwards, true(Ids == [mug_1, x_2, x_3])) :-
     findall(Id, labelled(Id, tableware), Ids0), sort(Ids0, Ids).
 test(labelled_with_an_id, all(C == [mug, cup, tableware, artefact])) :- labelled(mug_1, C).
 test(an_unlisted_label_is_a_class) :- class(gizmo).
@@ -37,6 +38,9 @@ test(all_containers_are_classes, true(Odd == [])) :-
     findall(C, ( container_class(C), \+ class(C) ), Odd).
 test(speakers_are_classes, true(Odd == [])) :-
     findall(C, ( rooms:speaks_for(C, _, _), \+ class(C) ), Odd).
+
+test(an_operator_adds_several_parents, true(Up == [artefact, cup, pen_cup, tableware, toy])) :-
+    setof(S, subclass(pen_cup, S), Up).
 
 :- end_tests(taxonomy).
 
