@@ -27,6 +27,8 @@ DOORWAY_M = 1.3
 """A passage up to this wide is a doorway, a wider one an opening."""
 LEAF_M = 0.9
 """A door leaf belongs to the passage whose middle is this near the middle of the leaf, ajar or not."""
+LEAF_BEYOND_M = 0.3
+"""A leaf that is longer than its opening is wide by more than this is not all one leaf."""
 THROUGH_M = 0.3
 """A passage is open where a straight way, free so far to both sides of the border, leads from room to room …"""
 HEIGHTS_M = (1.0, 1.4, 1.8)
@@ -211,7 +213,8 @@ class Passages:
             if not by:
                 by, self._next = f"passage_{self._next}", self._next + 1
             used.add(by)
-            named.append(replace(opening, by=by))
+            wide = _leaf_wide(opening.width_m, doors[by]) if by in doors else opening.width_m
+            named.append(replace(opening, by=by, width_m=wide))
         return named
 
     def _same(self, opening: Passage, used: set[str]) -> str:
@@ -240,6 +243,16 @@ class Passages:
         _cut(passage, changes)
         if passage.by.startswith("passage_") and passage.by in graph:
             changes.delete_node(passage.by, "nothing leads through there")
+
+
+def _leaf_wide(free_m: float, leaf: Shape) -> float:
+    """How wide an opening with a leaf ajar is [m], of which so much was seen to be free: as wide as the leaf.
+
+    Voxels of the jambs reach into the opening, up to two on either side. A leaf of which only a part was seen, or one
+    of two, is narrower than what is free and says nothing.
+    """
+    length = leaf.rectangle[2]
+    return round(max(free_m, length), 2) if length <= min(DOORWAY_M, free_m + LEAF_BEYOND_M) else free_m
 
 
 def _openings(storey: Storey, moved: set[str], window: tuple[Array, Array], occupancy: OccupancyMap) -> list[Passage]:

@@ -131,6 +131,20 @@ def test_a_gap_with_a_leaf_beside_it_goes_by_the_door() -> None:
     assert all(e.attributes["open"] for e in graph.edges("connects"))
 
 
+@pytest.mark.parametrize(
+    ("gap", "by_leaf"), [((1.0, 1.9), True), ((1.0, 1.75), True), ((0.9, 2.1), False), ((1.2, 1.7), False)]
+)
+def test_an_opening_is_as_wide_as_its_leaf_unless_that_is_narrower_or_much_wider(
+    gap: tuple[float, float], by_leaf: bool
+) -> None:
+    """What rims of voxels hide is the leaf's; a part of a leaf, or a wall taken for one, says nothing."""
+    bare = passages_of(gap)[0].node("passage_1").attributes["width_m"]
+    graph, _ = passages_of(gap, {"opening_7": door_at(float(np.mean(gap)))})
+    [width] = {edge.value for edge in graph.edges("connects", source="opening_7")}
+    assert width == pytest.approx(0.9 if by_leaf else bare, abs=0.01)
+    assert by_leaf or width == bare
+
+
 def test_a_shut_door_connects_its_rooms_and_says_so() -> None:
     graph, _ = passages_of(None, {"opening_7": door_at(1.4)})
     assert joined(graph) == {"opening_7": {"room_1", "room_2"}}
