@@ -481,7 +481,7 @@ def export(
         str,
         typer.Option(
             "--format",
-            help="json, spark_dsg, node_link, graphml, csv, parquet, gltf, png, cost, ply, mesh, ot, bt, npz.",
+            help="json, spark_dsg, node_link, graphml, csv, parquet, gltf, pddl, png, cost, ply, mesh, ot, bt, npz.",
         ),
     ],
     output: Annotated[Path, typer.Option(help="The file to write.")],
@@ -495,6 +495,11 @@ def export(
     band: Annotated[
         tuple[float, float], typer.Option(metavar="LOW HIGH", help="cost: heights that matter, metres.")
     ] = (-0.1, 1.0),
+    goal: Annotated[str | None, typer.Option(help="pddl: the goal to plan for, such as 'on(cup, table)'.")] = None,
+    robot: Annotated[str | None, typer.Option(help="pddl: the robot that acts.")] = None,
+    everything: Annotated[
+        bool, typer.Option("--everything", help="pddl: all that is known, not only what the goal can touch.")
+    ] = False,
     map_path: Map = None,
     connect: Connect = None,
     world: WorldName = "home",
@@ -504,7 +509,8 @@ def export(
 
     ply is the mesh, or with --layer semantics a cloud of labelled points; mesh and ot (OctoMap) are in the colours of
     classes; cost is a grid for navigation, a PNG beside a YAML file as map_server reads them, or, by the name of the
-    file, arrays (.npz) or all surfaces in space (.ply). --map may also name a graph without a map (JSON of spark_dsg
+    file, arrays (.npz) or all surfaces in space (.ply); pddl is the problem of a goal for a planner, its domain in a
+    file beside it. --map may also name a graph without a map (JSON of spark_dsg
     or networkx, GraphML), which is then written in another format of graphs.
     """
     from scenegraph import exporting
@@ -513,8 +519,18 @@ def export(
     printer = Printer(json=as_json)
     if (form == "cost") != (costs is not None):
         raise typer.BadParameter("--costs FILE belongs to --format cost, and --format cost needs it")
+    if (form == "pddl") != (goal is not None):
+        raise typer.BadParameter("--goal GOAL belongs to --format pddl, and --format pddl needs it")
     absent: tuple[str, ...] = ()
     with _opened(map_path, connect, world, graphs=True) as target:
+        if goal is not None:
+            path, domain = exporting.export_pddl(target, goal, output, robot=robot, scoped=not everything)
+            told = {"format": form, "output": str(path), "domain": str(domain), "bytes": path.stat().st_size}
+            if as_json:
+                printer.document(told)
+            else:
+                printer.line(f"wrote {path} ({path.stat().st_size:,} bytes) and {domain}")
+            return
         source = exporting.source_of(target) if map_path else exporting.Served(target)
         if costs is not None:
             path, absent = exporting.export_cost(source, costs, output, band_m=band)

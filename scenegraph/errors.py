@@ -3,7 +3,7 @@
 SceneGraphError
 ├── InvalidConfig          a world was configured with an impossible value (also a ValueError)
 ├── InvalidStatement       a statement for `tell` that is not one, or that does not fit the world (also a ValueError)
-├── GoalRefused            a goal that cannot be watched, with the problem that asking it has
+├── GoalRefused            a goal that cannot be watched or planned for, with the problem that it has
 ├── InvalidGraphValue      a node, edge, box or delta with a bad field (also a ValueError)
 ├── UnknownNode            an id that is neither a node nor a tombstone (also a KeyError)
 ├── InvariantViolated      a change that would leave the graph inconsistent; nothing was changed
@@ -87,9 +87,9 @@ class InvalidStatement(SceneGraphError, ValueError):
 
 
 class GoalRefused(SceneGraphError):
-    """A goal cannot be watched. `code`, message and hint are those of the problem that asking it has."""
+    """A goal cannot be watched or planned for. `code`, message and hint are those of the problem that it has."""
 
-    def __init__(self, code: str, message: str, *, hint: str | None = None) -> None:
+    def __init__(self, code: str, message: str, hint: str | None = None) -> None:
         super().__init__(message, hint=hint)
         self.code = code  # type: ignore[misc]
 

@@ -29,6 +29,7 @@ __all__ = [
     "check_format",
     "export",
     "export_cost",
+    "export_pddl",
     "formats",
     "layers_of_server",
     "source_of",
@@ -43,6 +44,7 @@ LAYER_OF: dict[str, str | None] = {
     "npz": None,
 }
 """The map layer that a format is of when none is asked for; None: it must be."""
+_PLANNING = "pddl"
 _OF_MAP = ("png", "cost")
 """Formats that are made from several layers here."""
 
@@ -155,7 +157,7 @@ def formats() -> list[str]:
     """The names of all formats."""
     from scenegraph.interop import FORMATS
 
-    return [*FORMATS, *_OF_MAP, *LAYER_OF]
+    return [*FORMATS, _PLANNING, *_OF_MAP, *LAYER_OF]
 
 
 def check_format(name: str) -> None:
@@ -188,6 +190,8 @@ def export(source: Source, name: str, path: str | Path, *, layer: str | None = N
     check_format(name)
     if name == "cost":
         raise ExportError("cost: expected a table of costs", hint="export_cost")
+    if name == _PLANNING:
+        raise ExportError("pddl: expected a goal", hint="export_pddl")
     path = Path(path)
     of_layer = name in LAYER_OF
     if not of_layer and (layer or box):
@@ -203,6 +207,30 @@ def export(source: Source, name: str, path: str | Path, *, layer: str | None = N
     else:
         export_graph(source.graph, name, path)
     return path
+
+
+def export_pddl(
+    target: World | GraphFile | Client, goal: str, path: str | Path, *, robot: str | None = None, scoped: bool = True
+) -> tuple[Path, Path]:
+    """Write what a planner is given for a goal, and return the paths of the problem and of its domain beside it.
+
+    path    of the problem; the domain's name ends in `_domain`
+    scoped  only what the goal and the actions can touch; else everything in the graph
+
+    Raises `GoalRefused` when the goal cannot be planned for, `ExportError` when a file cannot be written.
+    """
+    from scenegraph.importing import GraphFile
+
+    if hasattr(target, "planning_task"):
+        task = target.planning_task(goal, robot=robot, scoped=scoped)
+    else:
+        with GraphFile(target.graph()) as copy:
+            task = copy.planning_task(goal, robot=robot, scoped=scoped)
+    path = Path(path)
+    domain = path.with_name(f"{path.stem}_domain{path.suffix or '.pddl'}")
+    write_text(path, task.pddl)
+    write_text(domain, task.domain.text)
+    return path, domain
 
 
 def export_cost(

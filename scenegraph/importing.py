@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from reasoning.knowledge import KnowledgeBase, Reply
-from reasoning.planning import Planner
+from reasoning.planning import Planner, Task
 from reasoning.terms import Atom
 from scenegraph import facts, phrases
 from scenegraph.answers import Answers
@@ -69,6 +69,10 @@ class GraphFile:
         from scenegraph.planning.desk import run
 
         return run(self._plan_desk().planning(goal, robot=robot, timeout_s=timeout_s), self._planner, engine)
+
+    def planning_task(self, goal: str, *, robot: str | None = None, scoped: bool = True) -> Task:
+        """What a planner is given for a goal, as `World.planning_task`."""
+        return self._plan_desk().task(goal, robot=robot, scoped=scoped)
 
     def verify(self, plan: Plan, *, done: int = 0) -> PlanCheck:
         """Whether a plan still leads to its goal, as `World.verify`."""

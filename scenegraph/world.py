@@ -25,7 +25,7 @@ from mapping.observations import (
     Transform,
 )
 from reasoning.knowledge import KnowledgeBase
-from reasoning.planning import Planner
+from reasoning.planning import Planner, Task
 from scenegraph import phrases, statements, storing
 from scenegraph.answers import Answers, Place, TellResult
 from scenegraph.collector import collector_paused
@@ -292,6 +292,16 @@ class World:
         """As `plan`, for whoever lets the planner work in a thread of its own: yields what is to be solved, is sent
         what was found, and returns the plan."""
         return self._plan_desk().planning(goal, robot=robot, timeout_s=timeout_s)
+
+    def planning_task(self, goal: str, *, robot: str | None = None, scoped: bool = True) -> Task:
+        """What a planner is given for a goal: `.domain.text` and `.pddl` are PDDL texts, and
+        `reasoning.planning.unified.to_unified` makes a unified-planning problem of it.
+
+        scoped  only what the goal and the actions can touch; else everything in the graph
+
+        Raises `GoalRefused` when the goal cannot be planned for.
+        """
+        return self._plan_desk().task(goal, robot=robot, scoped=scoped)
 
     def verify(self, plan: Plan, *, done: int = 0) -> PlanCheck:
         """Whether a plan still leads to its goal in the graph as it is now: for each step that is left whether it can

@@ -73,7 +73,7 @@ class Planner:
                 outcome: Outcome = line.recv()
             except (EOFError, BrokenPipeError, ConnectionResetError):
                 self._stop()
-                return Outcome("timeout", message="the planner used up its memory")
+                return Outcome("timeout", message="the planner used up its memory, or was ended")
             times = {"start_s": began - started, "took_s": time.monotonic() - began}
             return Outcome(outcome.status, outcome.actions, outcome.message, {**outcome.figures, **times})
 
@@ -87,6 +87,7 @@ class Planner:
         process = self._process
         if process is not None:
             process.kill()
+            process.wait()
 
     def close(self) -> None:
         """End the process. Closing twice does nothing."""

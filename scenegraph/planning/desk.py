@@ -8,13 +8,14 @@ from dataclasses import replace
 
 from mapping.observations import RobotDescription
 from reasoning.knowledge import KnowledgeBase, Problem
-from reasoning.planning import Planner, PlannerUnavailable
+from reasoning.planning import Planner, PlannerUnavailable, Task
+from scenegraph.errors import GoalRefused
 from scenegraph.graph import Node, SceneGraph
 from scenegraph.places import PlaceFinder
 from scenegraph.planning.checking import check_plan
-from scenegraph.planning.goals import GoalReader, Refused
+from scenegraph.planning.goals import GoalReader
 from scenegraph.planning.plan import Plan, PlanCheck, PlanStatus, step_of
-from scenegraph.planning.planner import Planning, TaskPlanner
+from scenegraph.planning.planner import Planning, TaskPlanner, whole_task
 from scenegraph.planning.poses import Standing
 from scenegraph.planning.situation import Situation
 
@@ -68,13 +69,18 @@ class PlanDesk:
             situation = self.situation(robot)
             read = GoalReader(self._knowledge).read(goal)
             found = yield from TaskPlanner(timeout_s).plan(read, situation)
-        except Refused as refused:
-            status: PlanStatus = "unsolvable" if refused.problem.code == "impossible" else "unknown"
-            found = Plan(status, goal, problem=refused.problem, revision=self._graph.revision)
+        except GoalRefused as refused:
+            status: PlanStatus = "unsolvable" if refused.code == "impossible" else "unknown"
+            why = Problem(refused.code, refused.message, refused.hint)
+            found = Plan(status, goal, problem=why, revision=self._graph.revision)
         except PlannerUnavailable as error:
             found = Plan("unknown", goal, problem=Problem(error.code, str(error), error.hint))
         found = self.with_steps(found)
         return replace(found, elapsed_ms=1e3 * (time.perf_counter() - began))
+
+    def task(self, goal: str, *, robot: str | None = None, scoped: bool = True) -> Task:
+        """What a planner is given for a goal; see `whole_task`. Raises `GoalRefused`."""
+        return whole_task(GoalReader(self._knowledge).read(goal), self.situation(robot), scoped=scoped)
 
     def verify(self, plan: Plan, *, done: int = 0) -> PlanCheck:
         """See `World.verify`."""
@@ -92,7 +98,7 @@ class PlanDesk:
         return replace(plan, steps=tuple(step_of(action, True, target) for action, target in pairs))
 
     def situation(self, robot: str | None) -> Situation:
-        """The graph as this robot finds it; of several robots the one that was seen last. Raises `Refused`."""
+        """The graph as this robot finds it; of several robots the one that was seen last. Raises `GoalRefused`."""
         agent = self._agent(robot)
         name = robot or ("robot" if agent is None else agent.id.removeprefix("agent_"))
         place = self._place
@@ -116,5 +122,5 @@ class PlanDesk:
         found = [a for a in agents if a.id == f"agent_{robot}"]
         if not found and robot not in self._robots and agents:
             known = ", ".join(sorted(a.id.removeprefix("agent_") for a in agents))
-            raise Refused("unknown_robot", f"no robot is called {robot!r}", f"known: {known}")
+            raise GoalRefused("unknown_robot", f"no robot is called {robot!r}", f"known: {known}")
         return found[0] if found else None

@@ -10,12 +10,13 @@ from itertools import islice, product
 from typing import TypeAlias, cast
 
 from reasoning.errors import GoalFailed
-from reasoning.knowledge import KnowledgeBase, Problem
+from reasoning.knowledge import KnowledgeBase
 from reasoning.planning import Fact, fact_text
 from reasoning.terms import Atom, Compound, Term, Var
+from scenegraph.errors import GoalRefused
 from scenegraph.planning.situation import Scope, Situation
 
-__all__ = ["Aim", "Chooser", "Goal", "GoalReader", "Group", "Literal", "Refused", "Wish"]
+__all__ = ["Aim", "Chooser", "Goal", "GoalReader", "Group", "Literal", "Wish"]
 
 Literal: TypeAlias = tuple[bool, Fact]
 
@@ -23,15 +24,6 @@ MOST_CANDIDATES = 40
 """Of things of a class so many are weighed against each other: those that fit already, then the nearest."""
 MOST_COMBINATIONS = 4_000
 MOST_HOSTS = 3
-
-
-class Refused(Exception):
-    """A goal cannot be planned for, and why."""
-
-    def __init__(self, code: str, message: str, hint: str | None = None, *, unknown: bool = False) -> None:
-        super().__init__(message)
-        self.problem = Problem(code, message, hint)
-        self.unknown = unknown
 
 
 @dataclass(frozen=True)
@@ -91,15 +83,15 @@ class GoalReader:
         self._knowledge = knowledge
 
     def read(self, text: str) -> Goal:
-        """Take a goal apart. Raises `Refused`."""
+        """Take a goal apart. Raises `GoalRefused`."""
         try:
             [answer] = self._knowledge.call(Compound("plan_goal", (text, Var("Reading"))), limit=1)
         except GoalFailed as error:
-            raise Refused(error.code, str(error), error.hint) from None
+            raise GoalRefused(error.code, str(error), error.hint) from None
         reading = cast(Compound, answer["Reading"])
         if reading.name == "problem":
             code, message, hint = (str(part) for part in reading.args)
-            raise Refused(code, message, hint or None)
+            raise GoalRefused(code, message, hint or None)
         wishes, domains, contexts = (cast(list[Compound], part) for part in reading.args)
         found = [_wish(wish) for wish in wishes]
         candidates: dict[str, tuple[str, ...]] = {}
@@ -109,8 +101,8 @@ class GoalReader:
             classes[_name(variable)] = str(name)
             candidates[_name(variable)] = tuple(str(i) for i in cast(list[Term], ids))
             if not ids:
-                raise Refused(
-                    "none_known", f"no {name} is known: the world is not fully seen", "look for one first", unknown=True
+                raise GoalRefused(
+                    "none_known", f"no {name} is known: the world is not fully seen", "look for one first"
                 )
         relations = []
         for context in contexts:
@@ -118,11 +110,10 @@ class GoalReader:
             variables = tuple(_name(v) for v in cast(list[Term], names))
             held = frozenset(tuple(str(v) for v in cast(list[Term], row)) for row in cast(list[Term], rows))
             if not held:
-                raise Refused(
+                raise GoalRefused(
                     "none_known",
                     f"nothing is known of which it holds: {condition}",
                     "the world is not fully seen: look for it first",
-                    unknown=True,
                 )
             relations.append((variables, held))
         return Goal(text, tuple(_groups(found, candidates, classes, relations)))
@@ -133,7 +124,7 @@ def _name(term: Term) -> str:
         return f"?{term.args[0]}"
     if isinstance(term, Atom):
         return term.name
-    raise Refused("bad_argument", f"{term} is not a thing: expected an id, a class or a variable")
+    raise GoalRefused("bad_argument", f"{term} is not a thing: expected an id, a class or a variable")
 
 
 def _wish(term: Compound) -> Wish:
@@ -180,7 +171,7 @@ def _groups(
         for name in sorted(variables):
             if name not in candidates and not any(name in names for names, _ in about):
                 wish = next(w for w in members if name in w.arguments)
-                raise Refused(
+                raise GoalRefused(
                     "unbound_variable",
                     f"anything may stand for a variable of {wish.name}: say what it is",
                     f"cup(X), {wish.name}(X, table)",
@@ -268,13 +259,13 @@ class Chooser:
         """How a wish can be brought about; where it cannot, `reasons` is told why."""
         try:
             return list(getattr(self, f"_{wish.name}")(wish))
-        except Refused as refused:
-            reasons.append(refused.problem.message)
+        except GoalRefused as refused:
+            reasons.append(refused.message)
             return []
 
     def _check(self, why_not: str | None) -> None:
         if why_not is not None:
-            raise Refused("impossible", why_not)
+            raise GoalRefused("impossible", why_not)
 
     def _on(self, wish: Wish) -> Iterator[Aim]:
         yield self._put(wish, *wish.arguments)
@@ -287,7 +278,7 @@ class Chooser:
         elif layer != "room":
             yield self._put(wish, thing, into)
         elif not wish.holds:
-            raise Refused("impossible", f"to take {thing} out of {into} is no goal: say where it shall be")
+            raise GoalRefused("impossible", f"to take {thing} out of {into} is no goal: say where it shall be")
         elif self._now.room_of(thing) == into and self._now.held != thing:
             yield Aim(0.0, (), Scope(), frozenset())
         else:

@@ -17,11 +17,12 @@ from typing import NamedTuple, TypeAlias, TypeVar
 
 from reasoning.knowledge import Problem
 from reasoning.planning import Action, Outcome, Task, household
-from scenegraph.planning.goals import Aim, Chooser, Goal, Group, Literal, Refused, Wish
+from scenegraph.errors import GoalRefused
+from scenegraph.planning.goals import Aim, Chooser, Goal, Group, Literal, Wish
 from scenegraph.planning.plan import Plan, PlanStatus
 from scenegraph.planning.situation import Scope, Situation
 
-__all__ = ["Order", "Planning", "TaskPlanner"]
+__all__ = ["Order", "Planning", "TaskPlanner", "whole_task"]
 
 MOST_TRIES = 12
 
@@ -46,14 +47,13 @@ class TaskPlanner:
         self._deadline = time.monotonic() + timeout_s
 
     def plan(self, goal: Goal, situation: Situation) -> Planning[Plan]:
-        """A plan for a goal, without poses. Raises `Refused` when the goal cannot be planned for."""
+        """A plan for a goal, without poses. Raises `GoalRefused` when the goal cannot be planned for."""
         start = situation.fork()
         if situation.room is None:
-            raise Refused(
+            raise GoalRefused(
                 "robot_unknown",
                 f"nobody knows where {situation.robot} is",
                 "publish its AgentPose, or tell which room it is in",
-                unknown=True,
             )
         actions: list[Action] = []
         scope = Scope()
@@ -73,7 +73,7 @@ class TaskPlanner:
             actions += outcome.actions
             reached += [literal for literal in aim.literals if literal not in reached]
             scope.join(wide)
-        task = self._task(start, start.widen(scope), reached)
+        task = _task(start, start.widen(scope), reached)
         if not _valid(task, actions):
             return (yield from self._together(goal, start))
         return self._result("solved", goal, start, task, actions)
@@ -86,8 +86,7 @@ class TaskPlanner:
         for number, group in enumerate(left):
             aims, reasons = chooser.aims(group)
             if not aims:
-                wishes = ", ".join(wish.told(group.names) for wish in group.wishes)
-                raise Refused("impossible", f"{wishes}: {reasons[0] if reasons else 'nothing brings it about'}")
+                raise _impossible(group, reasons)
             options.append((_turn(group, left, situation.robot), aims[0].cost, number, group, aims))
         _, _, _, group, aims = min(options, key=lambda option: option[:3])
         return group, aims
@@ -104,12 +103,12 @@ class TaskPlanner:
             kept = Scope(things={a for _, fact in reached for a in fact[1:] if self._is_thing(a, situation)})
             kept.join(aim.scope)
             wide = situation.widen(kept)
-            task = self._task(situation, wide, [*reached, *aim.literals])
+            task = _task(situation, wide, [*reached, *aim.literals])
             outcome = yield from self._solve(task)
             if outcome.status in ("solved", "timeout"):
                 return aim, wide, outcome
             if outcome.status == "unsupported":
-                raise Refused("planner_failed", outcome.message)
+                raise GoalRefused("planner_failed", outcome.message)
         return None
 
     @staticmethod
@@ -123,14 +122,7 @@ class TaskPlanner:
     # -- everything at once ----------------------------------------------------------------------------------------
     def _together(self, goal: Goal, situation: Situation) -> Planning[Plan]:
         """One task for the whole goal, with the first choice of each group."""
-        chooser = Chooser(situation)
-        scope = Scope()
-        literals: list[Literal] = []
-        for group in goal.groups:
-            aim = chooser.aims(group)[0][0]
-            scope.join(aim.scope)
-            literals += [literal for literal in aim.literals if literal not in literals]
-        task = self._task(situation, situation.widen(scope), literals)
+        task = whole_task(goal, situation)
         outcome = yield from self._solve(task)
         if outcome.status == "solved":
             return self._result("solved", goal, situation, task, list(outcome.actions))
@@ -138,10 +130,6 @@ class TaskPlanner:
             return self._result("timeout", goal, situation, problem=Problem("timeout", outcome.message))
         message = "no sequence of actions brings it about, as far as the world is known"
         return self._result("unsolvable", goal, situation, problem=Problem("no_plan", message))
-
-    def _task(self, situation: Situation, scope: Scope, literals: Sequence[Literal]) -> Task:
-        goal = tuple(dict.fromkeys(literals))
-        return Task(household(), situation.objects(scope), situation.facts(scope), goal)
 
     def _solve(self, task: Task) -> Planning[Outcome]:
         left = self._deadline - time.monotonic()
@@ -174,6 +162,33 @@ class TaskPlanner:
             task=task,
             actions=tuple(actions),
         )
+
+
+def whole_task(goal: Goal, situation: Situation, *, scoped: bool = True) -> Task:
+    """One task for a whole goal, with the first choice for each of its groups. Raises `GoalRefused`.
+
+    scoped : only what the goal and the actions can touch; else everything that the graph knows
+    """
+    chooser = Chooser(situation)
+    scope = Scope()
+    literals: list[Literal] = []
+    for group in goal.groups:
+        aims, reasons = chooser.aims(group)
+        if not aims:
+            raise _impossible(group, reasons)
+        scope.join(aims[0].scope)
+        literals += aims[0].literals
+    return _task(situation, situation.widen(scope) if scoped else situation.everything(), literals)
+
+
+def _task(situation: Situation, scope: Scope, literals: Sequence[Literal]) -> Task:
+    goal = tuple(dict.fromkeys(literals))
+    return Task(household(), situation.objects(scope), situation.facts(scope), goal)
+
+
+def _impossible(group: Group, reasons: Sequence[str]) -> GoalRefused:
+    wishes = ", ".join(wish.told(group.names) for wish in group.wishes)
+    return GoalRefused("impossible", f"{wishes}: {reasons[0] if reasons else 'nothing brings it about'}")
 
 
 def _turn(group: Group, left: Sequence[Group], robot: str) -> int:

@@ -346,6 +346,15 @@ class Situation:
         doors |= scope.doors
         return Scope(scope.movable, scope.hosts, things | doors, around, doors)
 
+    def everything(self) -> Scope:
+        """All that the graph knows, for comparison: what classical planners are often given."""
+        objects = [node.id for node in self.graph.nodes("object")]
+        movable = {thing for thing in objects if self.not_graspable(thing) is None}
+        hosts = {thing for thing in objects if self.surface(thing) or self.container(thing)}
+        floors = {floor for room in self.graph.nodes("room") for floor in self._floors(room.id)}
+        things = set(objects) | floors | set(self.routes.doors)
+        return Scope(movable, hosts, things, {room.id for room in self.graph.nodes("room")}, set(self.routes.doors))
+
     def _aside(self, thing: str, most: int = 2) -> set[str]:
         """Where a thing may be put aside: surfaces near it."""
         room = self.room_of(thing) or self.room

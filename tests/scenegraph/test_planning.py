@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner, Result
 
+from reasoning.planning.unified import read_problem
+from scenegraph.cli import app
+from scenegraph.errors import GoalRefused
+from scenegraph.exporting import export_pddl
 from scenegraph.graph import Delta, Edge, GraphChanges, SceneGraph
 from scenegraph.importing import GraphFile
+from scenegraph.interop import export_graph
 from scenegraph.planning import Plan
 from tests.support.errands import large_home, small_flat
 
@@ -240,3 +248,40 @@ def test_what_is_gone_is_told() -> None:
         changes.delete_node("object_6", "seen to be away")
         assert "object_6 is gone" in plan.broken_by(file.graph.commit(changes, 9))
         assert any(reason.startswith("object_6 is gone: seen to be away") for reason in file.verify(plan).reasons)
+
+
+def test_the_files_of_a_goal_are_read_and_solved_by_others(tmp_path: Path) -> None:
+    with GraphFile(small_flat()) as file:
+        scoped, domain = export_pddl(file, "on(cup, bed)", tmp_path / "cup.pddl")
+        whole, _ = export_pddl(file, "on(cup, bed)", tmp_path / "whole.pddl", scoped=False)
+        assert domain.name == "cup_domain.pddl"
+        problem = read_problem(domain.read_text(), scoped.read_text())
+        assert [str(goal) for goal in problem.goals] == ["on(object_6, object_7)"]
+        small, large = (len(read_problem(domain.read_text(), p.read_text()).all_objects) for p in (scoped, whole))
+        assert small < large
+        with pytest.raises(GoalRefused, match="no banana is known"):
+            export_pddl(file, "on(banana, bed)", tmp_path / "none.pddl")
+
+
+def run(*words: object) -> Result:
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def test_the_command_line_plans(tmp_path: Path) -> None:
+    path = export_graph(small_flat(), "json", tmp_path / "flat.json")
+    found = run("plan", "on(cup, bed)", "--map", path, "--json")
+    assert found.exit_code == 0, found.output
+    document = json.loads(found.stdout)
+    assert document["status"] == "solved"
+    assert [step["action"] for step in document["steps"]][-1] == "place"
+    assert set(document["steps"][0]["target"]) == {"translation", "rotation_wxyz"}
+    assert run("plan", "on(banana, bed)", "--map", path).exit_code == 1
+    assert run("plan", "on(bed, cup)", "--map", path).exit_code == 1
+    misspelt = run("plan", "on(cup, tabel)", "--map", path)
+    assert misspelt.exit_code == 2
+    assert "did you mean" in " ".join(misspelt.stderr.split())
+    assert "solved" in run("plan", "on(cup, bed)", "--map", path).stdout
+    told = run("export", "--format", "pddl", "--goal", "on(cup, bed)", "--output", tmp_path / "x.pddl", "--map", path)
+    assert told.exit_code == 0, told.output
+    assert (tmp_path / "x_domain.pddl").read_text().startswith(";")
+    assert run("export", "--format", "pddl", "--output", tmp_path / "x.pddl", "--map", path).exit_code == 2
