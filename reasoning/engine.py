@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,8 @@ __all__ = ["Engine", "problem"]
 _HEADER = struct.Struct("<QQ")
 _GRACE_S = 0.5
 _START_TIMEOUT_S = 30.0
+_BATCH_CHARACTERS = 8_000_000
+"""Facts are told in batches: what the worker is told at once stands on its stacks as a whole."""
 
 
 def problem(code: str, message: str, hint: str = "") -> Compound:
@@ -112,7 +114,7 @@ class Engine:
             if not text:
                 return Atom("updated")
             try:
-                return self._exchange(Atom("update"), text, _START_TIMEOUT_S + len(text) / 1e6)
+                return self._update(text)
             except (TimeoutError, EOFError, BrokenPipeError):
                 self._restart()
                 return Atom("updated")
@@ -128,6 +130,15 @@ class Engine:
         with self._lock:
             self._stop()
             self._process = None
+
+    def _update(self, text: str) -> Term:
+        """Tell the worker changes, one a line: what came of the last batch, or of the first that was refused."""
+        result: Term = Atom("updated")
+        for batch in _batches(text):
+            result = self._exchange(Atom("update"), batch, _START_TIMEOUT_S + len(batch) / 1e6)
+            if result != Atom("updated"):
+                break
+        return result
 
     def _exchange(self, command: Term, payload: str, timeout_s: float) -> Term:
         self._send(command, payload)
@@ -163,7 +174,7 @@ class Engine:
             loaded = self._exchange(load, "", _START_TIMEOUT_S)
             facts = self._remembered()
             if facts and loaded == Atom("loaded"):
-                self._exchange(Atom("update"), facts, _START_TIMEOUT_S + len(facts) / 1e6)
+                self._update(facts)
         except (TimeoutError, EOFError, BrokenPipeError) as error:
             self._stop()
             raise EngineUnavailable(
@@ -190,6 +201,15 @@ def _end(process: subprocess.Popen[bytes], pipes: tuple[int, int], owner: int) -
         process.wait()
     for pipe in pipes:
         os.close(pipe)
+
+
+def _batches(text: str) -> Iterator[str]:
+    """`text` in pieces of whole lines."""
+    start = 0
+    while len(text) - start > _BATCH_CHARACTERS and (end := text.find("\n", start + _BATCH_CHARACTERS)) >= 0:
+        yield text[start:end]
+        start = end + 1
+    yield text[start:]
 
 
 def _write(pipe: int, message: bytes) -> None:

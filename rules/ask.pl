@@ -12,6 +12,7 @@
 :- use_module(viewpoint).
 :- use_module(goals).
 :- use_module(readings).
+:- use_module(ordering).
 :- use_module(explain).
 
 /** <module> Asking, with limits
@@ -38,8 +39,9 @@ ask(Text, options(Limit, Seconds, Inferences, Explain, Viewer), Reply) :-
     ->  problem_of(Error, Problem),
         Reply = reply(unknown, [], [], false, Problem, [])
     ;   maplist(binding, Bindings, Names, Row),
-        answers(Goal, Row, Limit, Deadline, Inferences, Rows, Truncated, Problem),
-        truth(Goal, Rows, Deadline, Inferences, Problem, Truth, LastProblem),
+        well_ordered(Goal, Ordered),
+        answers(Ordered, Row, Limit, Deadline, Inferences, Rows, Truncated, Problem),
+        truth(Ordered, Rows, Deadline, Inferences, Problem, Truth, LastProblem),
         explanations(Explain, Goal, Bindings-AllNames, Rows, Truth, LastProblem, Deadline, Inferences, Explanations),
         Reply = reply(Truth, Names, Rows, Truncated, LastProblem, Explanations)
     ).

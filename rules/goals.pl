@@ -5,6 +5,7 @@
           ]).
 :- use_module(library(lists)).
 :- use_module(library(apply)).
+:- use_module(library(solution_sequences)).
 :- use_module(facts).
 :- use_module(vocabulary).
 :- use_module(names).
@@ -291,8 +292,13 @@ thing(Atom, Called, [Called-Atom|Hidden], Hidden) :-
     ),
     !.
 thing(Atom, _, _, _) :-
-    findall(Known, ( node(Known, _) ; known_class(Known) ), Names),
+    findall(Known, ( known_class(Known) ; node_to_suggest(Known) ), Names),
     unknown_name(Atom, Names).
+
+%   node_to_suggest(-Id): rooms and such, and things as long as they are few enough to be told apart by a slip.
+node_to_suggest(Id) :-
+    member(Layer, [building, storey, room, agent, structure, object]),
+    limit(1000, node(Id, Layer)).
 
 fits(number, Argument) :- number(Argument).
 fits(text, Argument) :- ( string(Argument) ; atom(Argument) ).

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 from mapping.geometry import SE3
@@ -29,6 +30,8 @@ class Answers:
     reply: Reply
     revision: int
     _nodes: Mapping[str, Node] = field(repr=False)
+    _why: Callable[[], Explanation | None] | None = field(default=None, repr=False, compare=False)
+    """Asks again, this time for the explanation."""
 
     @property
     def truth(self) -> Truth:
@@ -48,8 +51,16 @@ class Answers:
 
     def explain(self) -> Explanation | None:
         """Why it holds, or why not: rules, facts, measured values and thresholds. None when the goal could not be
-        asked."""
-        return self.reply.explanation
+        asked.
+
+        It is made when it is asked for first, from what is known then: call it before the world is changed or closed.
+        """
+        return self._explanation
+
+    @cached_property
+    def _explanation(self) -> Explanation | None:
+        known = self.reply.explanation
+        return self._why() if known is None and self._why is not None else known
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
         for row in self.reply.answers:

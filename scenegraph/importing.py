@@ -59,10 +59,14 @@ class GraphFile:
         phrase = phrases.read(goal, self._knowledge)
         if phrase.problem is not None:
             return Answers(Reply("unknown", problem=phrase.problem), self.graph.revision, {})
-        reply = self._knowledge.ask(phrase.goal, limit=limit, timeout_s=timeout_s, explain=True, viewer=viewer)
-        reply = phrases.answered(phrase, reply)
-        named = {term.name for row in reply.answers for term in row.values() if isinstance(term, Atom)}
-        return Answers(reply, self.graph.revision, {i: self.graph.node(i) for i in named if i in self.graph})
+
+        def reply(explain: bool) -> Reply:
+            return self._knowledge.ask(phrase.goal, limit=limit, timeout_s=timeout_s, explain=explain, viewer=viewer)
+
+        answered = phrases.answered(phrase, reply(False))
+        named = {term.name for row in answered.answers for term in row.values() if isinstance(term, Atom)}
+        nodes = {i: self.graph.node(i) for i in named if i in self.graph}
+        return Answers(answered, self.graph.revision, nodes, lambda: reply(True).explanation)
 
     def plan(self, goal: str, *, robot: str | None = None, timeout_s: float = 10.0, engine: str = "pyperplan") -> Plan:
         """A plan, as `World.plan`; its steps have poses only where places of the graph tell them."""

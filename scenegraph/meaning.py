@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from typing import Any, cast
 
 from mapping.observations import ClassInfo, RobotDescription
-from reasoning.knowledge import DerivedEdge, KnowledgeBase, Phrase, Reply
+from reasoning.knowledge import DerivedEdge, Explanation, KnowledgeBase, Phrase, Reply
 from reasoning.labelling import PlaneFacts, PlaneRelation, PlaneRules
 from reasoning.terms import Atom, Compound, Term, Var
 from scenegraph import facts, phrases
@@ -203,9 +203,18 @@ class Meaning:
 
     # -- questions ----------------------------------------------------------------------------------------
     def ask(
-        self, asked: Phrase, graph: SceneGraph, *, robot: str | None, limit: int, timeout_s: float, at_ns: int | None
+        self,
+        asked: Phrase,
+        graph: SceneGraph,
+        *,
+        robot: str | None,
+        limit: int,
+        timeout_s: float,
+        at_ns: int | None,
+        explain: bool = False,
+        why: Callable[[], Explanation | None] | None = None,
     ) -> Answers:
-        """Ask a goal, or what a phrase means, now, or of the graph as it was."""
+        """Ask a goal, or what a phrase means, now, or of the graph as it was; `why` asks again for the explanation."""
         if asked.problem is not None:
             return Answers(Reply("unknown", problem=asked.problem), graph.revision, {})
         goal = asked.goal
@@ -222,14 +231,14 @@ class Meaning:
                 )
                 reply = memory.ask(goal, limit=limit, timeout_s=timeout_s, explain=True, viewer=viewer)
             return Answers(phrases.answered(asked, reply), past.revision, {n.id: n for n in past.nodes()})
-        reply = self.knowledge.ask(goal, limit=limit, timeout_s=timeout_s, explain=True, viewer=viewer)
-        return self.answers(phrases.answered(asked, reply), graph)
+        reply = self.knowledge.ask(goal, limit=limit, timeout_s=timeout_s, explain=explain, viewer=viewer)
+        return self.answers(phrases.answered(asked, reply), graph, why)
 
     @staticmethod
-    def answers(reply: Reply, graph: SceneGraph) -> Answers:
+    def answers(reply: Reply, graph: SceneGraph, why: Callable[[], Explanation | None] | None = None) -> Answers:
         """A reply with the nodes that it names, as they are now."""
         named = {t.name for row in reply.answers for t in row.values() if isinstance(t, Atom)}
-        return Answers(reply, graph.revision, {i: graph.node(i) for i in named if i in graph})
+        return Answers(reply, graph.revision, {i: graph.node(i) for i in named if i in graph}, why)
 
     def _class_facts(self) -> list[Compound]:
         return [

@@ -223,9 +223,16 @@ class World:
         inferences)
         """
         asked = phrases.read(goal, self._knowledge)
-        if at_ns is None and asks_for(asked.goal):
-            self._measure_for(asked.goal)
-        return self.meaning.ask(asked, self.graph, robot=robot, limit=limit, timeout_s=timeout_s, at_ns=at_ns)
+
+        def answer(explain: bool) -> Answers:
+            if at_ns is None and asks_for(asked.goal):
+                self._measure_for(asked.goal)
+            return self.meaning.ask(
+                asked, self.graph, robot=robot, limit=limit, timeout_s=timeout_s, at_ns=at_ns, explain=explain,
+                why=lambda: answer(True).reply.explanation,
+            )  # fmt: skip
+
+        return answer(False)
 
     def watch(
         self,

@@ -18,7 +18,7 @@ from reasoning import Atom, Compound, GoalFailed, InvalidFact, InvalidTerm, Know
 from reasoning.facts import FACTS, FactStore
 from reasoning.terms import term_text
 from rules import rule_path
-from tests.reasoning.homes import fact
+from tests.reasoning.homes import fact, small_home
 
 ids = st.sampled_from(["a", "b", "c"])
 numbers = st.sampled_from([0, 1, 0.5])
@@ -259,3 +259,14 @@ def test_every_exported_predicate_is_documented(path: Path) -> None:
     ]
     assert exports
     assert missing == []
+
+
+def test_facts_are_told_in_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("reasoning.engine._BATCH_CHARACTERS", 200)
+    with KnowledgeBase() as knowledge:
+        knowledge.update(small_home())
+        known = len(knowledge.call("facts:node(X, L)")), knowledge.ask("on(X, Y)").answers
+        assert known[0] == len([fact for fact in small_home() if fact.name == "node"])
+        assert knowledge.engine.pid is not None
+        os.kill(knowledge.engine.pid, 9)
+        assert (len(knowledge.call("facts:node(X, L)")), knowledge.ask("on(X, Y)").answers) == known
