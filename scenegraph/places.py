@@ -3,34 +3,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from mapping.geometry import SE3
-from mapping.kernels import regions as kernels
 from mapping.observations import RobotDescription
-from mapping.occupancy import FREE, OccupancyMap
+from mapping.occupancy import OccupancyMap
 from reasoning.knowledge import KnowledgeBase, Phrase, Problem
 from reasoning.terms import Atom, Compound, Var
 from scenegraph.answers import GoalPose, Place, PlaceAnswer, Region
 from scenegraph.graph import Node, SceneGraph
 from scenegraph.phrases import ambiguous
+from scenegraph.standing import Standing
 
 Array: TypeAlias = NDArray[Any]
 
-CELL_M = 0.05
-LEAST_HEIGHT_M = 0.08
-"""Obstacles lower than this are driven over: thresholds, rugs, noise of the floor."""
+FloorBelow: TypeAlias = Callable[[float, float, float], tuple[str, float] | None]
+"""The floor under a point: its node id and height [m]."""
+
 DEFAULT_HEIGHT_M = 1.2
 STAND_OFF_M = 1.2
 """How far from a thing a robot may stand for it."""
-WINDOW_M = 8.0
-"""Ways are looked for within this distance of robot and goal."""
+FARTHEST_M = 24.0
+"""Whether a robot gets farther than this from where it is, along both axes, is not looked for."""
+DETOURS_M = (3.0, 12.0)
+"""A way may lead so far around robot and goal: where none is found within the first, the second is tried."""
 MOST_POSES = 5
 MOST_ANSWERS = 20
 BESIDE = frozenset(
@@ -48,16 +49,18 @@ class PlaceFinder:
         knowledge: KnowledgeBase,
         robots: Mapping[str, RobotDescription],
         robot_radius_m: float,
+        floor_below: FloorBelow = lambda x, y, z: None,
     ) -> None:
         self._graph = graph
         self._occupancy = occupancy
         self._knowledge = knowledge
         self._robots = robots
         self._radius_m = robot_radius_m
+        self._floor_below = floor_below
+        self._known: dict[tuple[Any, ...], tuple[tuple[Array, Array], Standing]] = {}
 
-    def find(self, phrase: str, robot: str | None) -> Place:
-        """See `World.where`."""
-        understood = self._read(phrase)
+    def find(self, phrase: str, understood: Phrase, robot: str | None) -> Place:
+        """Where a phrase that was `read` is; see `World.where`."""
         if understood.problem is not None:
             return Place("unknown", phrase, problem=understood.problem)
         viewer = None if robot is None else f"agent_{robot}"
@@ -75,7 +78,7 @@ class PlaceFinder:
         unclear = next((several[name] for name in (*understood.variables, *several) if name in several), ())
         return Place(reply.truth, phrase, tuple(answers), unclear)
 
-    def _read(self, phrase: str) -> Phrase:
+    def read(self, phrase: str) -> Phrase:
         """What is meant: a goal is about all of its variables."""
         if "(" in phrase:
             return Phrase("thing", phrase)
@@ -96,7 +99,7 @@ class PlaceFinder:
         return PlaceAnswer(
             nodes=tuple(n.id for n in nodes),
             region=Region(tuple((round(x, 3), round(y, 3)) for x, y in _outer(region)), z_min, z_max),
-            poses=tuple(self._poses(nodes, footprint, robot)),
+            poses=tuple(self._poses(nodes, footprint, z_min, robot)),
         )
 
     @staticmethod
@@ -128,47 +131,55 @@ class PlaceFinder:
     ) -> list[GoalPose]:
         """Free poses for a robot beside a thing, looking at it, best first; reachable from `start` (2,) [m], or from
         where the robot is."""
-        return self._poses([node], self._ground([node])[0], robot, most, start)
+        footprint, z_min, _ = self._ground([node])
+        return self._poses([node], footprint, z_min, robot, most, start)
 
     # -- poses --------------------------------------------------------------------------------------------
     def _poses(
         self,
         nodes: Sequence[Node],
         footprint: shapely.Geometry,
+        z_min: float,
         robot: str | None,
         most: int = MOST_POSES,
         start: Array | None = None,
     ) -> list[GoalPose]:
         """Free, reachable poses that look at the nodes: for a room inside it, else beside the things."""
         start = self._robot_at(robot) if start is None else start
-        floor_z = self._floor_z(nodes)
+        if start is not None and np.abs(start - np.array(footprint.centroid.coords[0])).max() > FARTHEST_M:
+            start = None
+        floor_z = self._floor_z(nodes, footprint, z_min)
+        for detour_m in DETOURS_M if start is not None else (0.0,):
+            standing = self._standing(footprint, floor_z, robot, start, detour_m)
+            poses = self._chosen(nodes, footprint, standing, floor_z, robot, most)
+            if poses:
+                return poses
+        return []
+
+    def _chosen(
+        self,
+        nodes: Sequence[Node],
+        footprint: shapely.Geometry,
+        standing: Standing,
+        floor_z: float,
+        robot: str | None,
+        most: int,
+    ) -> list[GoalPose]:
+        """The best of where a robot can stand, no two close together."""
         inside = all(n.layer == "room" for n in nodes)
-        low, high = (
-            np.array(footprint.bounds[:2]) - STAND_OFF_M - 0.5,
-            np.array(footprint.bounds[2:]) + STAND_OFF_M + 0.5,
-        )
-        if start is not None and np.abs(start - np.array(footprint.centroid.coords[0])).max() < 3 * WINDOW_M:
-            low, high = np.minimum(low, start - 1.0), np.maximum(high, start + 1.0)
-        origin = np.floor(low / CELL_M).astype(np.int64)
-        shape = tuple((np.floor(high / CELL_M).astype(np.int64) - origin + 1).tolist())
-        clearance = self._clearance(origin, shape, floor_z, self._height_m(robot))
-        free = clearance > self._radius(robot)
-        reached, start_cell = self._reachable(free, origin, start)
-        cells = np.argwhere(reached)
-        if not len(cells):
+        xy = standing.xy
+        if not len(xy):
             return []
-        xy = (cells + origin + 0.5) * CELL_M
-        target = shapely.points(xy)
         if inside:
             away = np.where(shapely.contains_xy(footprint, xy[:, 0], xy[:, 1]), 0.0, np.inf)
-            badness = away - clearance[tuple(cells.T)]
+            badness = away - standing.clearance_m
         else:
-            away = shapely.distance(target, footprint)
+            away = shapely.distance(shapely.points(xy), footprint)
             near = away <= STAND_OFF_M + self._radius(robot)
             rooms = [shapely.Polygon(r.attributes["footprint"]) for r in self._rooms_of(nodes)]
             if rooms:  # a place behind the wall is no place beside the thing
                 near &= shapely.contains_xy(shapely.union_all(rooms), xy[:, 0], xy[:, 1])
-            badness = np.where(near, away, np.inf) - 0.3 * np.minimum(clearance[tuple(cells.T)], 1.0)
+            badness = np.where(near, away, np.inf) - 0.3 * np.minimum(standing.clearance_m, 1.0)
         focus = np.array(footprint.centroid.coords[0])
         poses: list[GoalPose] = []
         chosen: list[Array] = []
@@ -179,48 +190,28 @@ class PlaceFinder:
                 continue
             chosen.append(xy[at])
             yaw = math.atan2(*(focus - xy[at])[::-1])
-            way = None
-            if start_cell is not None:
-                cells_of_way = kernels.shortest_way(~free, *start_cell, *cells[at].tolist(), 1e9)
-                way = round(float(kernels.taut_length(~free, cells_of_way)) * CELL_M, 2)
-            pose = SE3.exp([0, 0, 0, 0, 0, yaw])
-            poses.append(
-                GoalPose(SE3(pose.rotation, (*xy[at], floor_z)), round(float(clearance[tuple(cells[at])]), 2), way)
-            )
+            pose = SE3(SE3.exp([0, 0, 0, 0, 0, yaw]).rotation, (*xy[at], floor_z))
+            poses.append(GoalPose(pose, round(float(standing.clearance_m[at]), 2), standing.way_m(int(at))))
         return poses
 
-    def _clearance(self, origin: Array, shape: tuple[int, ...], floor_z: float, height_m: float) -> Array:
-        """Distance (W, H) [m] of each ground cell to the nearest cell that is filled, or was not seen, at any
-        height."""
-        low = np.array([*(origin * CELL_M), floor_z + LEAST_HEIGHT_M])
-        high = low + np.array([*(np.array(shape) * CELL_M), height_m - LEAST_HEIGHT_M])
-        codes, first = self._occupancy.box(low, high)
-        filled, seen = (codes > FREE).any(axis=2), (codes == FREE).sum(axis=2)
-        open_columns = ~filled & (seen >= 0.5 * codes.shape[2])
-        size = self._occupancy.voxel_size_m
-        centres = (np.indices(shape).reshape(2, -1).T + origin + 0.5) * CELL_M
-        ij = np.floor(centres / size).astype(np.int64) - first[:2]
-        inside = ((ij >= 0) & (ij < open_columns.shape)).all(axis=1)
-        ij = np.where(inside[:, None], ij, 0)
-        passable = (open_columns[ij[:, 0], ij[:, 1]] & inside).reshape(shape)
-        return np.asarray(ndimage.distance_transform_edt(np.pad(passable, 1))[1:-1, 1:-1] * CELL_M)
-
-    @staticmethod
-    def _reachable(free: Array, origin: Array, start: Array | None) -> tuple[Array, tuple[int, int] | None]:
-        """Free cells that connect to the robot's, or to each other most widely where the robot's place is not known."""
-        parts, n = ndimage.label(free)
-        if n == 0:
-            return free, None
+    def _standing(
+        self, footprint: shapely.Geometry, floor_z: float, robot: str | None, start: Array | None, detour_m: float
+    ) -> Standing:
+        """The ground about things, with that on ways from the robot that lead no farther around than a detour."""
+        low = np.array(footprint.bounds[:2]) - STAND_OFF_M - 0.5
+        high = np.array(footprint.bounds[2:]) + STAND_OFF_M + 0.5
         if start is not None:
-            cell = np.floor(start / CELL_M).astype(np.int64) - origin
-            if ((cell >= 0) & (cell < free.shape)).all():
-                near = np.argwhere(free)
-                nearest = near[np.abs(near - cell).sum(axis=1).argmin()]
-                if np.linalg.norm(nearest - cell) * CELL_M < 0.6:  # the robot itself may stand where it was not seen
-                    return parts == parts[tuple(nearest)], (int(nearest[0]), int(nearest[1]))
-        sizes = np.bincount(parts.ravel())
-        sizes[0] = 0
-        return parts == sizes.argmax(), None
+            low, high = np.minimum(low, start) - detour_m, np.maximum(high, start) + detour_m
+        key = (robot, round(floor_z, 2), None if start is None else tuple(start.tolist()))
+        window, known = self._known.get(key, ((low, high), None))
+        if known is None or (low < window[0]).any() or (high > window[1]).any():
+            window = (np.minimum(low, window[0]), np.maximum(high, window[1])) if start is not None else (low, high)
+            known = Standing.between(
+                self._occupancy, *window, floor_z=floor_z, height_m=self._height_m(robot),
+                radius_m=self._radius(robot), start=start,
+            )  # fmt: skip
+            self._known[key] = window, known
+        return known
 
     def _robot_at(self, robot: str | None) -> Array | None:
         agents = self._graph.nodes("agent")
@@ -238,7 +229,12 @@ class PlaceFinder:
                 rooms += [target] if target.layer == "room" else []
         return rooms
 
-    def _floor_z(self, nodes: Sequence[Node]) -> float:
+    def _floor_z(self, nodes: Sequence[Node], footprint: shapely.Geometry, z_min: float) -> float:
+        """The height of the floor under things."""
+        middle = footprint.centroid
+        floor = self._floor_below(middle.x, middle.y, z_min)
+        if floor is not None:
+            return floor[1]
         rooms = self._rooms_of(nodes)
         heights = [float(r.attributes["floor_z"]) for r in rooms if "floor_z" in r.attributes]
         if heights:

@@ -271,8 +271,17 @@ class World:
     def where(self, phrase: str, *, robot: str | None = None) -> Place:
         """Where a phrase (`near the oven`) or a goal with one variable (`cup(X)`) is: nodes, region, reachable
         poses."""
-        finder = PlaceFinder(self.graph, self.map.occupancy, self._knowledge, self.robots, self.config.robot_radius_m)
-        return finder.find(phrase, robot)
+        finder = self._place_finder()
+        understood = finder.read(phrase)
+        if asks_for(understood.goal) or asks_between(understood.goal):
+            self._measure_for(understood.goal)
+        return finder.find(phrase, understood, robot)
+
+    def _place_finder(self) -> PlaceFinder:
+        return PlaceFinder(
+            self.graph, self.map.occupancy, self._knowledge, self.robots, self.config.robot_radius_m,
+            self.perception.building.floor_below,
+        )  # fmt: skip
 
     def plan(
         self,
@@ -326,7 +335,7 @@ class World:
     def _plan_desk(self) -> PlanDesk:
         from scenegraph.planning.desk import PlanDesk
 
-        finder = PlaceFinder(self.graph, self.map.occupancy, self._knowledge, self.robots, self.config.robot_radius_m)
+        finder = self._place_finder()
         seen_from = None if self.T_map_camera is None else self.T_map_camera.translation.tolist()
         return PlanDesk(
             self.graph,

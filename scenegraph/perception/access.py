@@ -163,7 +163,7 @@ class Access:
         corners = np.array([start, *(bound[:2] for shape in about.values() for bound in shape.bounds)])
         low = np.maximum(corners.min(axis=0) - 2.0 * reach, start - WINDOW_M)
         high = np.minimum(corners.max(axis=0) + 2.0 * reach, start + WINDOW_M)
-        surely, perhaps, origin, cell_m = self._passable(low, high, floor_z, body.height_m)
+        surely, perhaps, origin, cell_m = passable_ground(self._occupancy, low, high, floor_z, body.height_m)
         xs, ys = ((first + 0.5 + np.arange(n)) * cell_m for first, n in zip(origin, surely.shape, strict=True))
         at = np.floor(start / cell_m).astype(np.int64) - origin
         lengths = {
@@ -198,22 +198,6 @@ class Access:
             ends = np.concatenate([ends, np.full((len(ends), 2, 1), 0.5 * (shape.lowest + shape.highest))], axis=2)
             found[found] = ~self._building.walled(ends[:, 0], ends[:, 1])
         return np.asarray(found)
-
-    def _passable(self, low: Array, high: Array, floor_z: float, height_m: float) -> tuple[Array, Array, Array, float]:
-        """Over the ground from corner `low` to `high` (2,): (W, H) bool where nothing stands up to a height, half of it
-        seen at least; where nothing is known to; the first cell (2,), and how wide a cell is [m]."""
-        voxel = self._occupancy.voxel_size_m
-        wide = max(1, int(CELL_M / voxel + 1e-6))
-        origin = np.floor(low / (wide * voxel)).astype(np.int64)
-        shape = np.floor(high / (wide * voxel)).astype(np.int64) - origin + 1
-        box = np.array([[*(origin * wide * voxel), floor_z], [*((origin + shape) * wide * voxel), floor_z + height_m]])
-        codes, first = self._occupancy.box(*box)
-        over = (first[2] + 0.5 + np.arange(codes.shape[2])) * voxel - floor_z
-        codes = codes[: shape[0] * wide, : shape[1] * wide, (over > FLOOR_BAND_M[1]) & (over < height_m)]
-        codes = codes.reshape(shape[0], wide, shape[1], wide, -1)
-        clear = np.asarray(~(codes > FREE).any(axis=(1, 3, 4)))
-        seen = (codes == FREE).mean(axis=(1, 3, 4)) >= FREE_SHARE
-        return np.asarray(clear & seen), clear, origin, wide * voxel
 
     # -- doors --------------------------------------------------------------------------------------------
     def _blocked(self, door: Node) -> dict[tuple[str, ...], float]:
@@ -260,6 +244,25 @@ class Access:
             yaw = self._shapes[door.id].rectangle[4]
             return np.array([np.cos(yaw), np.sin(yaw)])
         return None
+
+
+def passable_ground(
+    occupancy: OccupancyMap, low: Array, high: Array, floor_z: float, height_m: float
+) -> tuple[Array, Array, Array, float]:
+    """Over the ground from corner `low` to `high` (2,): (W, H) bool where nothing stands up to a height, half of it
+    seen at least; where nothing is known to; the first cell (2,), and how wide a cell is [m]."""
+    voxel = occupancy.voxel_size_m
+    wide = max(1, int(CELL_M / voxel + 1e-6))
+    origin = np.floor(low / (wide * voxel)).astype(np.int64)
+    shape = np.floor(high / (wide * voxel)).astype(np.int64) - origin + 1
+    box = np.array([[*(origin * wide * voxel), floor_z], [*((origin + shape) * wide * voxel), floor_z + height_m]])
+    codes, first = occupancy.box(*box)
+    over = (first[2] + 0.5 + np.arange(codes.shape[2])) * voxel - floor_z
+    codes = codes[: shape[0] * wide, : shape[1] * wide, (over > FLOOR_BAND_M[1]) & (over < height_m)]
+    codes = codes.reshape(shape[0], wide, shape[1], wide, -1)
+    clear = np.asarray(~(codes > FREE).any(axis=(1, 3, 4)))
+    seen = (codes == FREE).mean(axis=(1, 3, 4)) >= FREE_SHARE
+    return np.asarray(clear & seen), clear, origin, wide * voxel
 
 
 def _lengths(passable: Array, start: Array, radius: float) -> Array:
