@@ -33,6 +33,13 @@ FACTS: Final[dict[tuple[str, int], int]] = {
     ("class_info", 3): 1,
     ("parameter", 2): 1,
     ("unobserved", 1): 1,
+    ("lasted", 5): 4,
+    ("lived", 5): 4,
+    ("had", 5): 4,
+    ("event", 5): 5,
+    ("sighted", 3): 1,
+    ("past_relation", 1): 1,
+    ("told_past", 1): 1,
 }
 
 #: Measurements that are the same in both directions: kept once, with the smaller id first.
@@ -133,8 +140,8 @@ def _keyed(fact: Compound) -> tuple[Key, str, tuple[str, ...]]:
         raise InvalidFact(f"fact: {fact!s} is not a fact of this world: expected one of {known}")
     name, arguments = fact.name, fact.args
     arity = len(arguments)
-    if name == "attribute" and type(arguments[2]) is str and _NAME.match(arguments[2]):
-        arguments = (*arguments[:2], Atom(arguments[2]))
+    if name in ("attribute", "had") and type(arguments[2]) is str and _NAME.match(arguments[2]):
+        arguments = (*arguments[:2], Atom(arguments[2]), *arguments[3:])
     texts = [_argument(argument) for argument in arguments]
     if name == "measured" and arity == 4 and texts[0] in SYMMETRIC and texts[1] > texts[2] and "_" not in texts[1:3]:
         texts[1], texts[2] = texts[2], texts[1]

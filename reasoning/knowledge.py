@@ -222,7 +222,10 @@ class KnowledgeBase:
                 _viewer(viewer),
             ),
         )
-        result = self._engine.request(Compound("ask", (options,)), goal, timeout_s=timeout_s)
+        request = Compound("ask", (options,))
+        result = self._engine.request(request, goal, timeout_s=timeout_s)
+        while self._watching.supplied(result):
+            result = self._engine.request(request, goal, timeout_s=timeout_s)
         elapsed_ms = (time.perf_counter() - started) * 1e3
         return _reply(result, elapsed_ms, goal if explain else None)
 

@@ -29,6 +29,9 @@ SLOW_S = 0.05
 REST = 10.0
 """A question that takes longer than SLOW_S may rest for REST times as long before it is asked again."""
 
+NEEDS = "needs_past"
+"""The problem of a goal that reads facts that are told only when they are needed; its hint says which."""
+
 UNSETTLED = frozenset({"timeout", "resource_limit"})
 """Problems of goals that were broken off: what they would have read is not known."""
 
@@ -63,6 +66,8 @@ class Watching:
         self._unsettled: set[int] = set()
         self._measurements: set[str] = set()
         self._next = 1
+        self.supplier: Callable[[str], bool] | None = None
+        """Tells what a problem NEEDS says; returns whether that was new."""
 
     def __len__(self) -> int:
         return len(self._questions)
@@ -112,13 +117,22 @@ class Watching:
             if left <= 0.0:
                 return
             for asked in self._asked(waiting, left):
-                yield self._settle(*asked)
+                if not self.supplied(asked[1]):
+                    yield self._settle(*asked)
 
     def ask(self, number: int) -> Any:
         """Ask one watched question now, pending or not: its reply."""
         self._pending[number] = None
         [asked] = self._asked([number], 0.0)
+        while self.supplied(asked[1]):
+            [asked] = self._asked([number], 0.0)
         return self._settle(*asked)[1]
+
+    def supplied(self, result: Term) -> bool:
+        """Whether a question lacked facts that are told only when they are needed, and now are."""
+        if self.supplier is None or _problem_code(result) != NEEDS:
+            return False
+        return self.supplier(str(_problem_of(result).args[2]))
 
     # -- asking -------------------------------------------------------------------------------------------
     def _asked(self, batch: list[int], seconds: float) -> list[tuple[int, Term, float, Reads | Atom | None]]:
@@ -232,11 +246,14 @@ def _watch_term(number: int, question: Question) -> Compound:
     return Compound("watch", (number, question.goal, Compound("options", options)))
 
 
+def _problem_of(result: Term) -> Compound:
+    """The problem that a result is or has; of one without, whatever is in its place."""
+    told = cast(Compound, result)
+    return cast(Compound, told.args[4]) if told.name == "reply" else told
+
+
 def _problem_code(result: Term) -> str | None:
-    """The code of the problem that a result is or has."""
-    trouble = cast(Compound, result)
-    if trouble.name == "reply":
-        trouble = cast(Compound, trouble.args[4])
+    trouble = _problem_of(result)
     return str(trouble.args[0]) if isinstance(trouble, Compound) else None
 
 

@@ -10,6 +10,7 @@
 :- use_module(rooms).
 :- use_module(viewpoint).
 :- use_module(ways).
+:- use_module(history).
 :- use_module(affordances).
 :- use_module(vocabulary).
 :- use_module(readings).
@@ -164,6 +165,10 @@ class_because(Thing, Class, because(Text, true, "", [], Evidence, [])) :-
 
 reason(Call, unknown, [], []) :-
     unseen(Call),
+    !.
+reason(Call, Truth, [], Evidence) :-
+    past_word(Call),
+    past_reason(Call, Truth, Evidence),
     !.
 reason(Call, Truth, Tests, Evidence) :-
     spatial_call(Call, Relation, A, B),
@@ -353,6 +358,12 @@ candidate(Call, Hidden, Names, Distance, because(Text, Truth, "", Tests, [], [])
     text(Call, Names, Text),
     maplist(with_unit, Tests0, Tests).
 
+candidate(Call, _, Names, Distance, because(Text, false, "", Tests, Evidence, [])) :-
+    past_word(Call),
+    past_miss(Call, Distance, Tests0, Evidence),
+    text(Call, Names, Text),
+    maplist(with_unit, Tests0, Tests).
+
 instances_of([]).
 instances_of([Thing-Class|Hidden]) :-
     instance_of(Thing, Class),
@@ -387,6 +398,7 @@ text(Call, Names, Text) :-
 %   An unseen instance is written as its class.
 readable(Term, Term) :- \+ compound(Term), !.
 readable('$some'(Class), Class) :- !.
+readable(any(Class), Class) :- atom(Class), !.
 readable(Term, Readable) :-
     Term =.. [Name|Arguments],
     maplist(readable, Arguments, Readables),

@@ -17,6 +17,13 @@
             class_info/3,               % ?Class, ?Kind, ?Parent
             parameter/2,                % ?Name, ?Value
             unobserved/1,               % ?Region
+            lasted/5,                   % ?Relation, ?A, ?B, ?From, ?To
+            lived/5,                    % ?Id, ?Layer, ?Class, ?From, ?To
+            had/5,                      % ?Id, ?Key, ?Value, ?From, ?To
+            event/5,                    % ?Kind, ?Id, ?Ns, ?Other, ?Was
+            sighted/3,                  % ?Id, ?FirstNs, ?LastNs
+            past_relation/1,            % ?Relation
+            told_past/1,                % ?Relation
             revision/1,                 % -Number
             new_revision/0,
             update/1,                   % +Stream
@@ -39,6 +46,7 @@ unobserved space left it open.
 :- dynamic
     node/2, label/2, named/2, position/4, size/4, yaw/2, outline/2, confidence/2, seen/3,
     attribute/3, told/1, class_info/3, parameter/2, unobserved/1,
+    lasted/5, lived/5, had/5, event/5, sighted/3, past_relation/1, told_past/1,
     stored_edge/6,                      % A, B, Relation, Value, Threshold, Confidence
     store/3,                            % measurement name, arity, predicate that keeps it
     current_revision/1.
@@ -102,6 +110,37 @@ current_revision(0).
 %!  unobserved(?Region) is nondet.
 %
 %   Part of Region, such as `world`, has not been seen.
+
+%!  lasted(?Relation, ?A, ?B, ?From, ?To) is nondet.
+%
+%   The graph had the edge Relation(A, B) from From until To [ns], or `now`.
+%   Told for the relations that told_past/1 has.
+
+%!  lived(?Id, ?Layer, ?Class, ?From, ?To) is nondet.
+%
+%   The graph had the node Id, labelled Class, from From until To [ns], or `now`.
+
+%!  had(?Id, ?Key, ?Value, ?From, ?To) is nondet.
+%
+%   The node Id had an attribute, a text or truth value, from From until To [ns],
+%   or `now`; its name is the attribute `name`.
+
+%!  event(?Kind, ?Id, ?Ns, ?Other, ?Was) is nondet.
+%
+%   Id appeared, moved, vanished, was merged into Other, split from Other or
+%   relabelled from Was to Other; `none` where there is no Other or Was.
+
+%!  sighted(?Id, ?First, ?Last) is nondet.
+%
+%   Id, which has gone, was first and last seen at these times [ns].
+
+%!  past_relation(?Relation) is nondet.
+%
+%   The graph's history has edges of Relation.
+
+%!  told_past(?Relation) is nondet.
+%
+%   What lasted/5 is told of; `all` when it is everything.
 
 %!  revision(-Number:integer) is det.
 %
@@ -228,6 +267,13 @@ stored(told(T), told(T), told(T)).
 stored(class_info(C, K, P), class_info(C, K, P), class_info(C, _, _)).
 stored(parameter(N, V), parameter(N, V), parameter(N, _)).
 stored(unobserved(R), unobserved(R), unobserved(R)).
+stored(lasted(R, A, B, F, T), lasted(R, A, B, F, T), lasted(R, A, B, F, _)).
+stored(lived(Id, L, C, F, T), lived(Id, L, C, F, T), lived(Id, L, C, F, _)).
+stored(had(Id, K, V, F, T), had(Id, K, V, F, T), had(Id, K, V, F, _)).
+stored(event(K, Id, N, O, W), event(K, Id, N, O, W), event(K, Id, N, O, W)).
+stored(sighted(Id, F, L), sighted(Id, F, L), sighted(Id, _, _)).
+stored(past_relation(R), past_relation(R), past_relation(R)).
+stored(told_past(R), told_past(R), told_past(R)).
 stored(edge(R, A, B, V, T, C), stored_edge(A, B, R, V, T, C), stored_edge(A, B, R, _, _, _)).
 stored(measured(Name, Id, V), Stored, Key) :-
     keeper(Name, 3, Predicate),
@@ -274,7 +320,8 @@ forget(Id) :-
 forget_everything :-
     forall(( member(Name/Arity,
                     [ node/2, label/2, named/2, position/4, size/4, yaw/2, outline/2, confidence/2, seen/3,
-                      attribute/3, told/1, class_info/3, parameter/2, unobserved/1, stored_edge/6 ])
+                      attribute/3, told/1, class_info/3, parameter/2, unobserved/1, stored_edge/6,
+                      lasted/5, lived/5, had/5, event/5, sighted/3, past_relation/1, told_past/1 ])
            ; store(_, Kept, Name), Arity is Kept-1 ),
            ( functor(Any, Name, Arity), retractall(Any) )).
 

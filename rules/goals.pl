@@ -8,6 +8,7 @@
 :- use_module(library(solution_sequences)).
 :- use_module(facts).
 :- use_module(vocabulary).
+:- use_module(history, [past_argument/3]).
 :- use_module(names).
 
 /** <module> From the text of a question to a goal that may be run
@@ -275,6 +276,10 @@ argument(any, Argument, _, _, Called, Hidden, HiddenMore) :-
     ;   Called = Argument,
         Hidden = HiddenMore
     ).
+argument(Kind, Argument, _, _, Called, Hidden, Hidden) :-
+    memberchk(Kind, [state, occurrence, event, moment, once]),
+    !,
+    past_argument(Kind, Argument, Called).
 argument(Kind, Argument, Word, Index, Argument, Hidden, Hidden) :-
     (   fits(Kind, Argument)
     ->  known(Kind, Argument)

@@ -13,6 +13,9 @@
             in_front_of/3, behind/3, left_of/3, right_of/3,
             connects/2, adjacent/2, leads_to/2, part_of/2, attached_to/2, hanging_from/2,
             visible_from/2, reachable/2, blocks/2,
+            holds/2, held/3, last_seen/2, changed_since/2, allen/3,
+            before/2, after/2, meets/2, met_by/2, overlaps/2, overlapped_by/2, starts/2, started_by/2,
+            during/2, encloses/2, finishes/2, finished_by/2, equals/2,
             distance/3, gap/3, larger/2,
             color/2, size/2, volume/2, height/2, width/2, depth/2, area/2,
             nearest/3, farthest/3, largest/2, smallest/2, tallest/2, latest/2,
@@ -29,6 +32,7 @@
 :- use_module(rooms).
 :- use_module(viewpoint).
 :- use_module(ways).
+:- use_module(history).
 :- use_module(properties).
 :- use_module(affordances).
 :- use_module(groups).
@@ -383,6 +387,30 @@ state_word(switched_on(_)).
 state_word(switched_off(_)).
 
                 /*******************************
+                *             TIME             *
+                *******************************/
+
+signature(holds(state, moment), "the fact held at that moment: nanoseconds, now, ago(Seconds), an event, a told moment").
+signature(held(state, any, any), "from when to when the fact held, nanoseconds; until `now` when it still does").
+signature(last_seen(once, number), "when the thing, which may have gone, was seen last, nanoseconds").
+signature(changed_since(moment, event),
+          "what happened since: appeared, moved, vanished, merged, split, relabelled, began(Fact), ended(Fact)").
+signature(allen(any, occurrence, occurrence), "Allen's relation of two intervals: of facts, sightings, events, moments").
+signature(before(occurrence, occurrence), "an interval of the first ends before the second begins").
+signature(after(occurrence, occurrence), "an interval of the first begins after the second has ended").
+signature(meets(occurrence, occurrence), "an interval of the first ends when the second begins").
+signature(met_by(occurrence, occurrence), "an interval of the first begins when the second ends").
+signature(overlaps(occurrence, occurrence), "an interval of the first begins first and ends within the second").
+signature(overlapped_by(occurrence, occurrence), "an interval of the first begins within the second and ends last").
+signature(starts(occurrence, occurrence), "an interval of the first begins with the second and ends before it").
+signature(started_by(occurrence, occurrence), "an interval of the first begins with the second and ends after it").
+signature(during(occurrence, occurrence), "an interval of the first begins after the second and ends before it").
+signature(encloses(occurrence, occurrence), "an interval of the first begins before the second and ends after it").
+signature(finishes(occurrence, occurrence), "an interval of the first begins after the second and ends with it").
+signature(finished_by(occurrence, occurrence), "an interval of the first begins before the second and ends with it").
+signature(equals(occurrence, occurrence), "an interval of the first begins and ends with the second").
+
+                /*******************************
                 *       WHAT MAY BE TRUE       *
                 *******************************/
 
@@ -418,6 +446,10 @@ possible_instance(Id, Class) :-
 possibly(Goal) :-
     unseen(Goal),
     !.
+possibly(Goal) :-
+    past_word(Goal),
+    !,
+    possibly_past(Goal).
 possibly(instance_of(Id, Class)) :-
     !,
     possible_instance(Id, Class).

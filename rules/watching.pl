@@ -81,6 +81,7 @@ names_in(named(Id, _), [Id]).
 names_in(position(Id, _, _, _), [Id]).
 names_in(size(Id, _, _, _), [Id]).
 names_in(yaw(Id, _), [Id]).
+names_in(outline(Id, _), [Id]).
 names_in(confidence(Id, _), [Id]).
 names_in(seen(Id, _, _), [Id]).
 names_in(attribute(Id, Key, Value), [Id, Value, Key]).
@@ -90,6 +91,13 @@ names_in(parameter(Name, _), [Name]).
 names_in(unobserved(Region), [Region]).
 names_in(stored_edge(A, B, Relation, _, _, _), [A, B, Relation]).
 names_in(store(Name, _, _), [Name]).
+names_in(lasted(Relation, A, B, _, _), [A, B, Relation]).
+names_in(lived(Id, _, Class, _, _), [Id, Class]).
+names_in(had(Id, Key, _, _, _), [Id, Key]).
+names_in(event(Kind, Id, _, _, _), [Id, Kind]).
+names_in(sighted(Id, _, _), [Id]).
+names_in(past_relation(Name), [Name]).
+names_in(told_past(Name), [Name]).
 names_in(Head, [Id]) :-
     facts:store(_, 3, Predicate),
     Head =.. [Predicate, Id, _].

@@ -105,6 +105,10 @@ class EventLog:
             return list(self._events)
         return list(takewhile(lambda event: event.stamp_ns > stamp_ns, reversed(self._events)))[::-1]
 
+    def after(self, revision: int) -> list[Event]:
+        """The events of later revisions of the graph, oldest first; the cost depends on their number."""
+        return list(takewhile(lambda event: event.revision > revision, reversed(self._events)))[::-1]
+
     def document(self) -> list[dict[str, Any]]:
         """The events as JSON values."""
         return [event.model_dump(mode="json") for event in self._events]

@@ -37,6 +37,7 @@ from scenegraph.graph import LAYERS, Delta, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 from scenegraph.labels import Labels
 from scenegraph.meaning import Meaning
+from scenegraph.past import Past
 from scenegraph.perception.access import Access, asks_between, asks_for, outdated
 from scenegraph.perception.perception import Perception
 from scenegraph.places import PlaceFinder
@@ -83,8 +84,10 @@ class World:
             ask=lambda asked: self.ask(asked.goal, robot=asked.robot, limit=asked.limit, timeout_s=asked.timeout_s),
             answers=lambda reply: self.meaning.answers(reply, self.graph),
             stamp=lambda: self.graph.stamp_ns,
-            on_demand=asks_for,
+            on_demand=lambda goal: asks_for(goal) or phrases.is_phrase(goal),
         )
+        self._past = Past()
+        self._knowledge.watching.supplier = self._tell_past
         self._asked_for: set[tuple[str, ...]] = set()
         self._desk = DetectionDesk()
         self.planner = Planner()
@@ -208,6 +211,9 @@ class World:
         before = {node_id: self.graph.node(node_id) for node_id in touched if node_id in self.graph}
         delta = self.graph.commit(changes, max(stamp_ns, self.graph.stamp_ns))
         self.event_log.add(events_of(delta, before))
+        if self._past.is_asked_for:
+            put, deleted = self._past.catch_up(self.graph, self.event_log)
+            self._knowledge.update(put=put, deleted=deleted)
         if self.watches and not self.watches.by_hand:
             self.watches.refresh()
         return delta
@@ -267,6 +273,14 @@ class World:
         if asks_between(goal):
             shapes = perception.objects.shapes
             self.meaning.outline({thing: s.outline for thing, s in shapes.items() if len(s.outline) > 2})
+
+    def _tell_past(self, what: str) -> bool:
+        """Tell the rules what they need to know of the past; returns whether that was new."""
+        if self._past.knows(what):
+            return False
+        put, deleted = self._past.supply(what, self.graph, self.event_log)
+        self._knowledge.update(put=put, deleted=deleted)
+        return True
 
     def where(self, phrase: str, *, robot: str | None = None) -> Place:
         """Where a phrase (`near the oven`) or a goal with one variable (`cup(X)`) is: nodes, region, reachable
