@@ -57,7 +57,7 @@ class Desk:
         return Answers(reply, self.revision, {})
 
     def watch(self, goal: str, on_change: Any = None, limit: int = 100) -> Watch:
-        return self.watches.add(goal, None, limit, 1.0, on_change)
+        return self.watches.add(goal, None, limit, 10.0, on_change)
 
     def change(self, **how: Any) -> None:
         self.revision += 1
@@ -176,7 +176,7 @@ def test_a_watch_answers_as_asking_anew_does(desk: Desk, goals: list[str], story
         for change in [{}, *story]:
             desk.change(**change)
             for known, watch in zip(told, watches, strict=True):
-                asked = desk.knowledge.ask(watch.goal)
+                asked = desk.knowledge.ask(watch.goal, timeout_s=10.0)
                 assert state(watch.answers.reply) == state(asked), watch.goal
                 for one in watch:
                     came, went = ({plain(row) for row in side} for side in (one.came, one.went))
@@ -303,7 +303,7 @@ def test_a_goal_that_needs_measuring_is_asked_after_every_change(desk: Desk) -> 
 
 def test_a_goal_that_was_broken_off_is_asked_again_after_a_rest(desk: Desk) -> None:
     goal = "(fact(lamp_broken) -> repeat, fail ; near(X, oven))"
-    watch = desk.watches.add(goal, None, 100, 0.1, None)
+    watch = desk.watches.add(goal, None, 100, 0.5, None)
     desk.change(put=[fact("told", "lamp_broken")])
     assert watch.answers.problem is not None
     assert watch.answers.problem.code == "timeout"
@@ -361,12 +361,12 @@ def test_a_world_tells_its_watches_after_everything_it_takes_in() -> None:
 def test_watches_of_a_mapped_home_answer_as_asking_does(copy_home: Callable[[], World]) -> None:
     world = copy_home()
     goals = ["near(X, table)", "on(X, table)", "object(X)", "in(X, R)", "aggregate_all(count, object(X), N)"]
-    watches = [world.watch(goal) for goal in goals]
+    watches = [world.watch(goal, timeout_s=10.0) for goal in goals]
     deleted = [node.id for node in world.graph.nodes("object")][::3]
     for thing in deleted:
         world.tell(f"delete({thing})", author="ann")
         for watch in watches:
-            asked = world.ask(watch.goal)
+            asked = world.ask(watch.goal, timeout_s=10.0)
             assert state(watch.answers.reply) == state(asked.reply)
             assert watch.answers.revision <= world.graph.revision
     gone = {row["X"].id if isinstance(row["X"], Node) else row["X"] for c in watches[2] for row in c.went}
