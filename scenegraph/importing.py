@@ -19,6 +19,7 @@ from scenegraph.store import load_graph
 
 if TYPE_CHECKING:
     from scenegraph.planning.desk import PlanDesk
+    from scenegraph.planning.mapping import DomainMapping
     from scenegraph.planning.plan import Plan, PlanCheck
     from scenegraph.world import World
 
@@ -68,10 +69,21 @@ class GraphFile:
         nodes = {i: self.graph.node(i) for i in named if i in self.graph}
         return Answers(answered, self.graph.revision, nodes, lambda: reply(True).explanation)
 
-    def plan(self, goal: str, *, robot: str | None = None, timeout_s: float = 10.0, engine: str = "pyperplan") -> Plan:
+    def plan(
+        self,
+        goal: str,
+        *,
+        robot: str | None = None,
+        timeout_s: float = 10.0,
+        engine: str = "pyperplan",
+        domain: str | Path | DomainMapping | None = None,
+    ) -> Plan:
         """A plan, as `World.plan`; its steps have poses only where places of the graph tell them."""
         from scenegraph.planning.desk import run
 
+        if domain is not None:
+            planning = self._plan_desk().planning_in(domain, goal, robot=robot, timeout_s=timeout_s)
+            return run(planning, self._planner, engine)
         return run(self._plan_desk().planning(goal, robot=robot, timeout_s=timeout_s), self._planner, engine)
 
     def planning_task(self, goal: str, *, robot: str | None = None, scoped: bool = True) -> Task:

@@ -46,6 +46,7 @@ from scenegraph.watching import AnswerChange, Watch, Watches
 
 if TYPE_CHECKING:
     from scenegraph.planning.desk import PlanDesk
+    from scenegraph.planning.mapping import DomainMapping
     from scenegraph.planning.plan import Plan, PlanCheck
     from scenegraph.planning.planner import Planning
 
@@ -304,6 +305,7 @@ class World:
         robot: str | None = None,
         timeout_s: float = 10.0,
         engine: str = "pyperplan",
+        domain: str | Path | DomainMapping | None = None,
     ) -> Plan:
         """A plan that brings a goal about, such as `on(cup, table)`: steps with node ids, preconditions and poses.
 
@@ -313,10 +315,15 @@ class World:
         robot     who acts, with its hand and width as it described them; default: the one that was seen last
         timeout_s for looking for it; the first plan also waits for the planner's process to start
         engine    another planner that unified-planning knows, such as "fast-downward"
+        domain    a mapping to a domain of your own, or the file it is in (`scenegraph.planning.mapping`); default: the
+                  household domain
         """
         from scenegraph.planning.desk import run
 
-        return run(self.planning(goal, robot=robot, timeout_s=timeout_s), self.planner, engine)
+        if domain is None:
+            return run(self.planning(goal, robot=robot, timeout_s=timeout_s), self.planner, engine)
+        planning = self._plan_desk().planning_in(domain, goal, robot=robot, timeout_s=timeout_s)
+        return run(planning, self.planner, engine)
 
     def planning(self, goal: str, *, robot: str | None = None, timeout_s: float = 10.0) -> Planning[Plan]:
         """As `plan`, for whoever lets the planner work in a thread of its own: yields what is to be solved, is sent

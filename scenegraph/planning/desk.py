@@ -5,17 +5,20 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
+from mapping.geometry import SE3
 from mapping.observations import RobotDescription
 from reasoning.knowledge import KnowledgeBase, Problem
 from reasoning.planning import Planner, PlannerUnavailable, Task
-from scenegraph.errors import GoalRefused
+from scenegraph.errors import GoalRefused, InvalidConfig
 from scenegraph.graph import Node, SceneGraph
 from scenegraph.places import PlaceFinder
 from scenegraph.planning.checking import check_plan
 from scenegraph.planning.goals import GoalReader
-from scenegraph.planning.plan import Plan, PlanCheck, PlanStatus, step_of
-from scenegraph.planning.planner import Planning, TaskPlanner, whole_task
+from scenegraph.planning.mapping import DomainMapping, Mapped
+from scenegraph.planning.plan import Plan, PlanCheck, PlanStatus, Step, step_of
+from scenegraph.planning.planner import Order, Planning, TaskPlanner, whole_task
 from scenegraph.planning.poses import Standing
 from scenegraph.planning.situation import Situation
 
@@ -77,6 +80,52 @@ class PlanDesk:
             found = Plan("unknown", goal, problem=Problem(error.code, str(error), error.hint))
         found = self.with_steps(found)
         return replace(found, elapsed_ms=1e3 * (time.perf_counter() - began))
+
+    def planning_in(
+        self,
+        domain: DomainMapping | str | Path,
+        goal: str,
+        *,
+        robot: str | None = None,
+        timeout_s: float = 10.0,
+    ) -> Planning[Plan]:
+        """Plan in a user's domain: first about what the household domain says that the goal can touch, then, where that
+        leads nowhere, about everything. Raises `InvalidConfig` when the mapping is not one."""
+        began = time.perf_counter()
+        mapping = domain if isinstance(domain, DomainMapping) else DomainMapping.load(domain)
+        mapped = Mapped(mapping, self._knowledge)
+        found = Plan("unknown", goal, revision=self._graph.revision)
+        try:
+            situation = self.situation(robot)
+            narrow = whole_task(GoalReader(self._knowledge).read(goal), situation)
+            about = frozenset(narrow.objects)
+            for task in (mapped.task(narrow.goal, about), mapped.task(narrow.goal)):
+                left = timeout_s - (time.perf_counter() - began)
+                outcome = yield Order(task, max(left, 0.01))
+                if outcome.status == "solved":
+                    found = replace(found, status="solved", task=task, actions=outcome.actions, robot=situation.robot)
+                    found = replace(found, steps=self._mapped_steps(found, mapped, robot))
+                    break
+                problem = Problem(outcome.status, outcome.message or f"{mapping.domain.name} has no plan for it")
+                status: PlanStatus = "timeout" if outcome.status == "timeout" else "unsolvable"
+                found = replace(found, status=status, problem=problem)
+        except (GoalRefused, InvalidConfig, PlannerUnavailable) as error:
+            found = replace(found, status="unknown", problem=Problem(error.code, str(error), error.hint))
+        return replace(found, elapsed_ms=1e3 * (time.perf_counter() - began))
+
+    def _mapped_steps(self, plan: Plan, mapped: Mapped, robot: str | None) -> tuple[Step, ...]:
+        standing = Standing(self._graph, self._finder, robot)
+        targets = {name.lower(): place for name, place in mapped.mapping.targets.items()}
+        steps = []
+        here: SE3 | None = None
+        for action in plan.actions:
+            ids = tuple(mapped.node_of.get(name, name) for name in action.arguments)
+            place = targets.get(action.name, 0)
+            if 0 < place <= len(ids):
+                here = standing.before(ids[place - 1])
+            step = step_of(action, False, here)
+            steps.append(replace(step, action=mapped.mapping.spelled.get(action.name, action.name), arguments=ids))
+        return tuple(steps)
 
     def task(self, goal: str, *, robot: str | None = None, scoped: bool = True) -> Task:
         """What a planner is given for a goal; see `whole_task`. Raises `GoalRefused`."""

@@ -52,6 +52,13 @@ class Standing:
             found.append(here)
         return found
 
+    def before(self, node_id: str) -> SE3 | None:
+        """A pose before one node, or in a room."""
+        if node_id not in self._graph:
+            return None
+        rooms = [edge.target for edge in self._graph.edges("in", source=node_id) if edge.target.startswith("room_")]
+        return self._before(node_id, None, set(), rooms[0] if rooms else None)
+
     @staticmethod
     def _work(following: Sequence[Action]) -> str | None:
         """What is done first at the place that the robot drives to."""
