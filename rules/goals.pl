@@ -335,13 +335,7 @@ known(_, _).
 refuse(Term) :-
     functor(Term, Name, Arity),
     functor(Head, Name, Arity),
-    (   findall(A, ( signature(Other, _), functor(Other, Name, A) ), [Right|_])
-    ->  functor(Known, Name, Right),
-        signature(Known, _),
-        format(string(Message), "~w/~d is not known: ~w takes ~d arguments", [Name, Arity, Name, Right]),
-        format(string(Hint), "~w", [Known]),
-        throw(problem(unknown_predicate, Message, Hint))
-    ;   (   predicate_property(system:Head, defined)
+    (   (   predicate_property(system:Head, defined)
         ;   predicate_property(user:Head, autoload(_))
         ;   memberchk(Name, [setof, bagof, assert])
         )
@@ -349,6 +343,12 @@ refuse(Term) :-
                "~w/~d may not be asked: questions use the vocabulary, logic, comparison and arithmetic",
                [Name, Arity]),
         throw(problem(forbidden, Message, ""))
+    ;   findall(A, ( signature(Other, _), functor(Other, Name, A) ), [Right|_])
+    ->  functor(Known, Name, Right),
+        signature(Known, _),
+        format(string(Message), "~w/~d is not known: ~w takes ~d arguments", [Name, Arity, Name, Right]),
+        format(string(Hint), "~w", [Known]),
+        throw(problem(unknown_predicate, Message, Hint))
     ;   known_class(Name)
     ->  format(string(Message), "~w is a class and takes one argument", [Name]),
         format(string(Hint), "did you mean ~w(X)?", [Name]),
