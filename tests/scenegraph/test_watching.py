@@ -371,3 +371,11 @@ def test_watches_of_a_mapped_home_answer_as_asking_does(copy_home: Callable[[], 
             assert watch.answers.revision <= world.graph.revision
     gone = {row["X"].id if isinstance(row["X"], Node) else row["X"] for c in watches[2] for row in c.went}
     assert gone == set(deleted)
+
+
+def test_every_fact_that_changes_is_noted_when_it_is_read(knowledge: KnowledgeBase) -> None:
+    kept = knowledge.call("predicate_property(facts:H, dynamic), \\+ predicate_property(facts:H, imported_from(_)), "
+                          "functor(H, Name, Arity)")  # fmt: skip
+    noted = knowledge.call("watching:names_in(H, _), functor(H, Name, Arity)")
+    names = [{(str(row["Name"]), row["Arity"]) for row in rows} for rows in (kept, noted)]
+    assert names[0] - {("current_revision", 1)} == names[1]
