@@ -27,16 +27,24 @@ property_name(area).
 
 %!  property(+Property, ?Thing, ?Value) is nondet.
 %
-%   Thing's Property is Value. The area of a room is that of its footprint.
+%   Thing's Property is Value. The area of a room is that of its footprint; a
+%   colour that somebody told beats the one that was seen.
 
 property(color, Thing, Color) :-
     nonvar(Thing),
     !,
-    ( attribute(Thing, color, Color) ; attribute(Thing, colour, Color) ).
+    (   ( attribute(Thing, color, Told) ; attribute(Thing, colour, Told) )
+    *-> Color = Told
+    ;   attribute(Thing, seen_color, Color)
+    ).
 property(color, Thing, Color) :-
     attribute(Thing, color, Color).
 property(color, Thing, Color) :-
     attribute(Thing, colour, Color).
+property(color, Thing, Color) :-
+    attribute(Thing, seen_color, Color),
+    \+ attribute(Thing, color, _),
+    \+ attribute(Thing, colour, _).
 property(size, Thing, Size) :-
     size(Thing, X, Y, Z),
     Size is max(X, max(Y, Z)).

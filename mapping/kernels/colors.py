@@ -53,3 +53,34 @@ def count_colors(counts: Array, pieces: Array, trust: Array, color: Array, step:
                         share = (x if a else 1.0 - x) * (y if b else 1.0 - y) * (z if c else 1.0 - z)
                         cell = ((i + a) * CHROMA_CELLS + j + b) * LIGHT_CELLS + k + c
                         counts[piece, cell] += worth * share
+
+
+@njit(cache=True)
+def main_block(colors: Array) -> tuple[float, float, float, float]:
+    """The 2 × 2 × 2 neighbouring cells of a histogram (CELLS,) that hold most: their share of all, and their mean share
+    of red, of green and brightness, in cells. The share is 0 where nothing was counted."""
+    total = 0.0
+    for cell in range(len(colors)):
+        total += colors[cell]
+    most, best = 0.0, (0, 0, 0)
+    for i in range(CHROMA_CELLS - 1):
+        for j in range(CHROMA_CELLS - 1):
+            for k in range(LIGHT_CELLS - 1):
+                held = 0.0
+                for a in range(2):
+                    for b in range(2):
+                        for c in range(2):
+                            held += colors[((i + a) * CHROMA_CELLS + j + b) * LIGHT_CELLS + k + c]
+                if held > most:
+                    most, best = held, (i, j, k)
+    if most <= 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    x, y, z = 0.0, 0.0, 0.0
+    for a in range(2):
+        for b in range(2):
+            for c in range(2):
+                part = colors[((best[0] + a) * CHROMA_CELLS + best[1] + b) * LIGHT_CELLS + best[2] + c] / most
+                x += a * part
+                y += b * part
+                z += c * part
+    return most / total, best[0] + x, best[1] + y, best[2] + z

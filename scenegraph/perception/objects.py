@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.colors import no_colors
+from mapping.colors import color_name, main_color, no_colors
 from mapping.instances import Instance, InstanceChange, InstanceMap
 from mapping.view import DepthView
 from scenegraph.errors import InvalidStatement
@@ -235,7 +235,7 @@ class Objects:
                 box=now[node_id].box,
                 first_seen_ns=arrivals[node_id].came_ns,
                 last_seen_ns=now[node_id].last_seen_ns,
-                attributes={key: now[node_id].attributes[key] for key in ("voxels", "views")},
+                attributes={k: v for k, v in now[node_id].attributes.items() if k in ("voxels", "views", "seen_color")},
             )
             if was is not None:
                 node = now_at(was.node, node, stamp_ns)
@@ -313,7 +313,7 @@ class Objects:
             confidence=self._confidence(name, instance),
             first_seen_ns=first_seen_ns,
             last_seen_ns=instance.last_seen_ns,
-            attributes={"voxels": len(shape.points), "views": instance.views},
+            attributes=_seen_of(shape, instance),
         )
         look = Look.of(node, instance.colors)
         if node_id is None:
@@ -445,6 +445,13 @@ def well_seen(instance: Instance) -> bool:
     return (
         instance.views == LEAST_VIEWS - 1 and instance.doubts == 0 and len(instance.labels) == 1 and full >= GOOD_VIEWS
     )
+
+
+def _seen_of(shape: Shape, instance: Instance) -> dict[str, Any]:
+    """How much of a thing was seen, and the colour that it mainly shows."""
+    color = main_color(instance.colors)
+    shown = {} if color is None else {"seen_color": color_name(*color)}
+    return {"voxels": len(shape.points), "views": instance.views, **shown}
 
 
 def now_at(known: Node, now: Node, stamp_ns: int) -> Node:

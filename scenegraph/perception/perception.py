@@ -47,9 +47,9 @@ FARTHEST_UP_M = 1e4
 """No thing lies higher or lower."""
 MEASURED = frozenset({
     "area_m2", "ceiling_z", "clearance_m", "floor_seen", "floor_z", "footprint", "height_m", "known_as", "moved_from",
-    "moved_ns", "moving", "normal", "number", "offset", "polygon", "returned_ns", "speed", "split_from", "storey",
-    "trajectory", "trajectory_ns", "trajectory_step_m", "traversable", "type_reason", "velocity", "views", "voxels",
-    "width_m",
+    "moved_ns", "moving", "normal", "number", "offset", "polygon", "returned_ns", "seen_color", "speed", "split_from",
+    "storey", "trajectory", "trajectory_ns", "trajectory_step_m", "traversable", "type_reason", "velocity", "views",
+    "voxels", "width_m",
 })  # fmt: skip
 """Attributes that perception writes and reads again; an operator sets others."""
 BESIDE_VOXELS = 1.5

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapping.colors import STEP, distance, likeness, no_colors, piece_colors
-from mapping.kernels.colors import CELLS, CHROMA_CELLS, CHROMA_STEP, DARK, LIGHT_CELLS, LIGHT_STEP
+from mapping.colors import STEP, color_name, distance, likeness, main_color, no_colors, piece_colors
+from mapping.kernels.colors import CELLS, CHROMA_CELLS, CHROMA_STEP, DARK, LIGHT_CELLS, LIGHT_STEP, main_block
 
 shades = st.tuples(*[st.integers(0, 255)] * 3)
 
@@ -94,3 +94,43 @@ def test_what_was_seen_without_colour_is_like_nothing_that_is_known():
     pieces, trust = np.ones((8, 8), np.int32), np.ones((8, 8), np.float32)
     assert not piece_colors(pieces, trust, 2, None).any()
     assert np.isnan(likeness(no_colors(), plain((10, 20, 30))))
+
+
+def naive_main_block(colors: np.ndarray) -> tuple[float, ...]:
+    cells = colors.astype(np.float64).reshape(CHROMA_CELLS, CHROMA_CELLS, LIGHT_CELLS)
+    blocks = np.lib.stride_tricks.sliding_window_view(cells, (2, 2, 2))
+    sums = blocks.sum(axis=(3, 4, 5))
+    best = np.unravel_index(int(sums.argmax()), sums.shape)
+    middle = [at + blocks[best].take(1, axis).sum() / sums[best] for axis, at in enumerate(best)]
+    return (float(sums[best] / cells.sum()), *map(float, middle))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_main_block_matches_the_naive_reference(seed):
+    colors = np.random.default_rng(seed).random(CELLS).astype(np.float32)
+    assert main_block(colors) == pytest.approx(naive_main_block(colors), rel=1e-4)
+
+
+@given(shades)
+def test_the_main_colour_of_one_colour_is_that_colour(color):
+    assert main_color(plain(color)) == pytest.approx(color, abs=1.0)
+
+
+def test_what_shows_no_colour_mainly_has_none():
+    assert main_color(no_colors()) is None
+    mixed = sum((plain(c) for c in ((250, 10, 10), (10, 250, 10), (10, 10, 250))), no_colors())
+    assert main_color(mixed) is None
+
+
+@pytest.mark.parametrize("light", [1.0, 0.85, 0.75])
+@pytest.mark.parametrize(
+    ("color", "name"),
+    [
+        ((200, 40, 35), "red"), ((50, 110, 190), "blue"), ((70, 150, 90), "green"), ((230, 190, 40), "yellow"),
+        ((240, 140, 30), "orange"), ((185, 145, 95), "brown"), ((120, 75, 45), "brown"), ((150, 80, 160), "purple"),
+        ((240, 170, 190), "pink"), ((235, 235, 230), "white"), ((110, 112, 115), "grey"), ((35, 35, 38), "black"),
+        ((220, 205, 175), "beige"),
+    ],
+)  # fmt: skip
+def test_colours_are_called_as_people_call_them_in_light_and_shade(color, name, light):
+    assert color_name(*(light * channel for channel in color)) == name

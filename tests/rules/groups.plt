@@ -53,7 +53,8 @@ test(of_what_was_never_seen_it_is_open, [ true(Truth == unknown),
 :- end_tests(groups).
 
 :- begin_tests(properties, [setup(with([ node(t, object), label(t, table), size(t, 0.6, 1.2, 0.7),
-                                         node(c, object), label(c, cup), attribute(c, colour, red),
+                                         node(c, object), label(c, cup), attribute(c, colour, red), attribute(c, seen_color, grey),
+                                         node(s, object), label(s, sofa), attribute(s, seen_color, blue),
                                          node(r, room), size(r, 4.0, 3.0, 2.5), attribute(r, area_m2, 10.5) ]))]).
 
 test(dimensions, all(P-V =@= [height-0.7, width-1.2, depth-0.6, size-1.2])) :-
@@ -62,6 +63,8 @@ test(dimensions, all(P-V =@= [height-0.7, width-1.2, depth-0.6, size-1.2])) :-
 test(volume, true(abs(V-0.504) < 1e-9)) :- property(volume, t, V).
 test(a_rooms_area_is_that_of_its_footprint, all(A == [10.5])) :- property(area, r, A).
 test(either_spelling, all(C == [red])) :- property(color, c, C).
+test(what_was_seen_counts_where_nobody_told, true(Things == [s])) :- findall(T, property(color, T, blue), Things).
+test(what_was_told_beats_what_was_seen, all(C-T == [red-c, blue-s])) :- property(color, T, C).
 test(a_size_that_is_not_known_is_unknown, true(Truth == unknown)) :- asked("height(c, H), H > 0.2", Truth, _).
 test(a_colour_that_is_not_known_is_unknown, true(Truth == unknown)) :- asked("color(t, green)", Truth, _).
 test(a_colour_that_is_known_is_not_another, true(Truth == false)) :- asked("color(c, green)", Truth, _).

@@ -174,3 +174,22 @@ def test_an_unexplored_world_offers_no_pose() -> None:
     with World() as world:
         world.integrate(SCENE.label_space)
         assert world.where("near the oven").answers == ()
+
+
+def test_things_are_found_by_the_colour_that_they_show() -> None:
+    """All that is left of the wall is lit red, the rest blue."""
+    with small_home.new_world() as world:
+        world.integrate(SCENE.label_space)
+        for image in small_home.images():
+            assert image.T_map_camera is not None
+            red = image.T_map_camera.translation[0] < 3.0
+            shade = np.array([200, 40, 35] if red else [50, 110, 190], np.uint8)
+            world.integrate(image.model_copy(update={"color": np.broadcast_to(shade, (*image.depth.shape, 3)).copy()}))
+        oven, stool = id_of(world, "oven"), id_of(world, "stool")
+        assert world.graph.node(oven).attributes["seen_color"] == "red"
+        assert [answer.nodes for answer in world.where("the blue stool").answers] == [(stool,)]
+        assert world.ask("is the oven red?").truth == "true"
+        assert world.ask("color(X, red), color(X, blue)").truth == "false"
+        assert world.tell(f"set({oven}, color, green)", author="operator").accepted
+        assert world.ask("what colour is the oven?").truth == "true"
+        assert [row["Color"] for row in world.ask("what colour is the oven?")] == ["green"]
