@@ -36,10 +36,6 @@ class _State(NamedTuple):
     name: str
     arguments: tuple[Term, ...]
 
-    @property
-    def relation(self) -> str:
-        return self.arguments[0].name if isinstance(self.arguments[0], Atom) else ""
-
     def fact(self, since: int, until: int | None) -> Compound:
         return Compound(self.name, (*self.arguments, since, _NOW if until is None else until))
 
@@ -52,12 +48,19 @@ class _Told:
     deleted: list[Compound] = field(default_factory=list)
 
 
+class _Followed(NamedTuple):
+    """Whose states are followed: of nodes, and of the edges of some relations."""
+
+    nodes: bool
+    relations: frozenset[str]
+
+
 class Past:
-    """The intervals of one graph's states, as far as its history goes back."""
+    """The intervals of one graph's states, as far as its history goes back and somebody asked."""
 
     def __init__(self) -> None:
-        self._forget()
         self._wanted: set[str] = set()
+        self._forget()
 
     def _forget(self) -> None:
         self._revision: int | None = None
@@ -78,53 +81,50 @@ class Past:
 
     def supply(self, what: str, graph: SceneGraph, events: EventLog) -> tuple[list[Compound], list[Compound]]:
         """Facts to put and to delete so that the rules know what the problem `needs_past` says, up to now."""
-        told = _Told()
-        self._catch_up(graph, events, told)
-        if what != NOTHING and what not in self._wanted and ALL not in self._wanted:
-            told.put += [
-                state.fact(since, until) for state, since, until in self._lasted() if what in (ALL, state.relation)
-            ]
-            told.put.append(Compound("told_past", (Atom(what),)))
-            self._wanted.add(what)
+        put, deleted = self.catch_up(graph, events)
+        if self.knows(what):
+            return put, deleted
+        told = _Told(put, deleted)
+        more = {what} if what != ALL else self._relations - self._wanted
+        self._wanted.add(what)
+        self._begin(list(graph.history), graph, _Followed(False, frozenset(more)), told)
+        told.put.append(Compound("told_past", (Atom(what),)))
         return told.put, told.deleted
 
     def catch_up(self, graph: SceneGraph, events: EventLog) -> tuple[list[Compound], list[Compound]]:
         """Facts to put and to delete for what has changed since the rules were told last."""
-        return self.supply(NOTHING, graph, events)
-
-    # -- following the history ----------------------------------------------------------------------------
-    def _catch_up(self, graph: SceneGraph, events: EventLog, told: _Told) -> None:
+        told = _Told()
         if self._revision == graph.revision:
-            return
+            return told.put, told.deleted
         steps = [undo for undo in graph.history if self._revision is None or undo.revision > self._revision]
-        if self._revision is not None and len(steps) != graph.revision - self._revision:
-            self._start_anew(told)
+        if self._revision is not None and len(steps) != graph.revision - self._revision:  # some are forgotten already
+            told.deleted += [state.fact(since, until) for state, since, until in self._spells()] + list(self._events)
+            self._forget()
             steps = list(graph.history)
+        self._note_relations(steps, graph, told)
+        followed = _Followed(True, frozenset(self._relations if ALL in self._wanted else self._wanted))
         if self._revision is None:
-            self._begin(steps, graph, told)
-        for undo, changes in zip(steps, _transitions(steps, graph), strict=True):
-            for gone, come in changes:
-                for state in gone - come:
-                    self._end(state, undo.stamp_ns, told)
-                for state in come - gone:
-                    self._start(state, undo.stamp_ns, told)
-            for node_id, before in undo.before.nodes.items():
-                if before is not None and node_id not in graph:
-                    seen = (Atom(node_id), before.first_seen_ns, before.last_seen_ns)
-                    told.put.append(Compound("sighted", seen))
+            self._begin(steps, graph, followed, told)
+        else:
+            self._follow(steps, graph, followed, told)
         self._note_events(events, told)
         while len(self._ended) > MOST_ENDED:
             self._drop(self._ended.popleft(), told)
         told.put.append(Compound("parameter", (Atom("now_ns"), graph.stamp_ns)))
         self._revision = graph.revision
+        return told.put, told.deleted
 
-    def _begin(self, steps: list[Undo], graph: SceneGraph, told: _Told) -> None:
-        """The states of the oldest remembered graph; they began when what they are of was first seen."""
-        nodes: dict[str, Node | None] = {node.id: node for node in graph}
-        edges: dict[EdgeKey, Edge | None] = {edge.key: edge for edge in graph.edges()}
+    # -- following the history ----------------------------------------------------------------------------
+    def _begin(self, steps: list[Undo], graph: SceneGraph, followed: _Followed, told: _Told) -> None:
+        """The states of the oldest remembered graph, begun when what they are of was first seen, and all since."""
+        nodes: dict[str, Node | None] = {node.id: node for node in graph} if followed.nodes else {}
+        edges: dict[EdgeKey, Edge | None] = {
+            edge.key: edge for relation in followed.relations for edge in graph.edges(relation)
+        }
         for undo in reversed(steps):
-            nodes.update(undo.before.nodes)
-            edges.update(undo.before.edges)
+            if followed.nodes:
+                nodes.update(undo.before.nodes)
+            edges.update((key, edge) for key, edge in undo.before.edges.items() if key.relation in followed.relations)
         if steps:  # what is remembered begins with the first change, unless others were forgotten
             begin = steps[0].previous_stamp_ns if steps[0].revision > 1 else steps[0].stamp_ns
         else:
@@ -133,48 +133,52 @@ class Past:
             if item is not None:
                 for state in _states(item):
                     self._start(state, min(item.first_seen_ns, begin), told)
-        told.put.append(Compound("parameter", (Atom("history_since_ns"), begin)))
+        if followed.nodes:
+            told.put.append(Compound("parameter", (Atom("history_since_ns"), begin)))
+        self._follow(steps, graph, followed, told)
 
-    def _start_anew(self, told: _Told) -> None:
-        told.deleted += [state.fact(since, until) for state, since, until in self._spells() if self._is_told(state)]
-        wanted = self._wanted
-        self._forget()
-        self._wanted = wanted
+    def _follow(self, steps: list[Undo], graph: SceneGraph, followed: _Followed, told: _Told) -> None:
+        for undo, changes in zip(steps, _transitions(steps, graph, followed), strict=True):
+            for gone, come in changes:
+                for state in gone - come:
+                    self._end(state, undo.stamp_ns, told)
+                for state in come - gone:
+                    self._start(state, undo.stamp_ns, told)
+            for node_id, before in undo.before.nodes.items() if followed.nodes else ():
+                if before is not None and node_id not in graph:
+                    seen = (Atom(node_id), before.first_seen_ns, before.last_seen_ns)
+                    told.put.append(Compound("sighted", seen))
+
+    def _note_relations(self, steps: list[Undo], graph: SceneGraph, told: _Told) -> None:
+        found = {key.relation for undo in steps for key in undo.before.edges}
+        if self._revision is None:
+            found.update(graph.relations())
+        for relation in sorted(found - self._relations):
+            self._relations.add(relation)
+            told.put.append(Compound("past_relation", (Atom(relation),)))
 
     def _start(self, state: _State, stamp_ns: int, told: _Told) -> None:
         self._since[state] = stamp_ns
-        if state.name == "lasted" and state.relation not in self._relations:
-            self._relations.add(state.relation)
-            told.put.append(Compound("past_relation", (Atom(state.relation),)))
-        if self._is_told(state):
-            told.put.append(state.fact(stamp_ns, None))
+        told.put.append(state.fact(stamp_ns, None))
 
     def _end(self, state: _State, stamp_ns: int, told: _Told) -> None:
         since = self._since.pop(state)
-        if since >= stamp_ns:  # it came and went in one moment
-            if self._is_told(state):
-                told.deleted.append(state.fact(since, None))
-                told.put[:] = [fact for fact in told.put if fact != state.fact(since, None)]
-            return
-        self._ended.append((state, since, stamp_ns))
-        if self._is_told(state):
+        if since < stamp_ns:
+            self._ended.append((state, since, stamp_ns))
             told.put.append(state.fact(since, stamp_ns))
+        else:  # it came and went in one moment
+            fact = state.fact(since, None)
+            told.deleted.append(fact)
+            told.put[:] = [other for other in told.put if other != fact]
 
     def _drop(self, spell: tuple[_State, int, int], told: _Told) -> None:
         state, since, until = spell
-        if self._is_told(state):
-            told.deleted.append(state.fact(since, until))
+        told.deleted.append(state.fact(since, until))
         told.put.append(Compound("parameter", (Atom("history_since_ns"), until)))
-
-    def _is_told(self, state: _State) -> bool:
-        return state.name != "lasted" or ALL in self._wanted or state.relation in self._wanted
 
     def _spells(self) -> Iterator[tuple[_State, int, int | None]]:
         yield from self._ended
         yield from ((state, since, None) for state, since in self._since.items())
-
-    def _lasted(self) -> Iterator[tuple[_State, int, int | None]]:
-        return (spell for spell in self._spells() if spell[0].name == "lasted" and not self._is_told(spell[0]))
 
     def _note_events(self, events: EventLog, told: _Told) -> None:
         for event in events.after(self._event_revision):
@@ -186,17 +190,21 @@ class Past:
             told.deleted.append(self._events.popleft())
 
 
-def _transitions(steps: list[Undo], graph: SceneGraph) -> Iterator[list[tuple[set[_State], set[_State]]]]:
+def _transitions(
+    steps: list[Undo], graph: SceneGraph, followed: _Followed
+) -> Iterator[list[tuple[set[_State], set[_State]]]]:
     """For each step, oldest first, the states of each item that it touched, before and after."""
     nodes: dict[str, Node | None] = {}
     edges: dict[EdgeKey, Edge | None] = {}
     found: list[list[tuple[set[_State], set[_State]]]] = []
     for undo in reversed(steps):
         changes = []
-        for node_id, node in undo.before.nodes.items():
+        for node_id, node in undo.before.nodes.items() if followed.nodes else ():
             now = graph.node(node_id) if node_id not in nodes and node_id in graph else nodes.get(node_id)
             changes.append((_states(node), _states(now)))
         for key, edge in undo.before.edges.items():
+            if key.relation not in followed.relations:
+                continue
             after = graph.edge(*key) if key not in edges else edges[key]
             changes.append((_states(edge), _states(after)))
         nodes.update(undo.before.nodes)
