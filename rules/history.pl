@@ -148,11 +148,14 @@ is_it(Thing, Id, When) :-
     ;   Thing = Id
     ).
 
+%   of_class(?Class, ?Id, -From, -To): Id carried Class, or one below it, or was in the layer Class, or went by that name.
 of_class(Class, Id, From, To) :-
     nonvar(Id),
     !,
-    lived(Id, Layer, Label, From, To),
-    once(( subclass(Label, Class) ; Layer = Class )).
+    (   lived(Id, Layer, Label, From, To),
+        once(( subclass(Label, Class) ; Layer = Class ))
+    ;   went_by(Id, Class, From, To)
+    ).
 of_class(Class, Id, From, To) :-
     nonvar(Class),
     !,
@@ -160,10 +163,16 @@ of_class(Class, Id, From, To) :-
         lived(Id, _, Label, From, To)
     ;   lived(Id, Class, Label, From, To),
         \+ subclass(Label, Class)
+    ;   went_by(Id, Class, From, To)
     ).
 of_class(Class, Id, From, To) :-
     lived(Id, _, Label, From, To),
     subclass(Label, Class).
+
+went_by(Id, Atom, From, To) :-
+    nonvar(Atom),
+    had(Id, name, Name, From, To),
+    name_atom(Name, Atom).
 
 %   A life with another label goes on.
 end_of_life(Id, From, To) :-
@@ -581,7 +590,7 @@ past_argument(once, Thing, Read) :-
     !,
     (   ( node(Thing, _) ; ever(Thing) )
     ->  Read = Thing
-    ;   ( subclass_known(Thing) ; layer(Thing) )
+    ;   ( known_kind(Thing) ; layer(Thing) )
     ->  Read = any(Thing)
     ;   needs(nothing),
         findall(Known, ( node(Known, _) ; lived(Known, _, _, _, _) ; class(Known) ), Names),
@@ -644,7 +653,7 @@ state(node, [Thing, Layer], node(Read, Layer)) :- past_argument(once, Thing, Rea
 state(attribute, [Thing, Key, Value], attribute(Read, Key, Value)) :- past_argument(once, Thing, Read).
 state(named, [Thing, Name], named(Read, Name)) :- past_argument(once, Thing, Read).
 state(Layer, [Thing], node(Read, Layer)) :- layer(Layer), past_argument(once, Thing, Read).
-state(Class, [Thing], instance_of(Read, Class)) :- subclass_known(Class), past_argument(once, Thing, Read).
+state(Class, [Thing], instance_of(Read, Class)) :- known_kind(Class), past_argument(once, Thing, Read).
 state(Name, [A, B], Read) :-
     kept_relation(Name),
     past_argument(once, A, ReadA),
@@ -654,11 +663,14 @@ state(Name, [A, B], Read) :-
 layer(Layer) :-
     memberchk(Layer, [building, storey, room, place, object, structure, agent]).
 
-subclass_known(Class) :-
+known_kind(Class) :-
     class(Class),
     !.
-subclass_known(Class) :-
+known_kind(Class) :-
     lived(_, _, Class, _, _),
+    !.
+known_kind(Name) :-
+    went_by(_, Name, _, _),
     !.
 
 %   kept_relation(?Name): the graph keeps edges of this name.

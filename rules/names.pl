@@ -1,5 +1,6 @@
 :- module(names,
           [ most_alike/3,                  % +Name, +Candidates, -Nearest
+            name_atom/2,                % +Name, ?Atom
             unknown_name/2,             % +Atom, +Names
             did_you_mean/2,             % +Names, -Hint
             known_key/1,                % ?Key
@@ -95,3 +96,16 @@ same_start([X|As], [X|Bs], RestA, RestB) :-
     !,
     same_start(As, Bs, RestA, RestB).
 same_start(As, Bs, As, Bs).
+
+%!  name_atom(+Name, ?Atom) is semidet.
+%
+%   Atom stands for the Name of a thing, 'guest room' and guest_room alike.
+
+name_atom(Name, Atom) :-
+    atom_string(Spelled, Name),
+    (   Atom = Spelled
+    ;   string_lower(Name, Lower),
+        split_string(Lower, " -", " -", Words),
+        atomic_list_concat(Words, '_', Atom)
+    ),
+    !.

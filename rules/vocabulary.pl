@@ -33,6 +33,7 @@
 :- use_module(viewpoint).
 :- use_module(ways).
 :- use_module(history).
+:- use_module(names, [name_atom/2]).
 :- use_module(properties).
 :- use_module(affordances).
 :- use_module(groups).
@@ -112,16 +113,6 @@ goes_by(Id, Atom) :-
     nonvar(Atom),
     named(Id, Name),
     name_atom(Name, Atom).
-
-%   name_atom(+Name, -Atom): the atom that stands for a name, 'guest room' and guest_room alike.
-name_atom(Name, Atom) :-
-    atom_string(Spelled, Name),
-    (   Atom = Spelled
-    ;   string_lower(Name, Lower),
-        split_string(Lower, " -", " -", Words),
-        atomic_list_concat(Words, '_', Atom)
-    ),
-    !.
 
 signature(subclass(class, class), "the first class is the second or below it").
 signature(room_type(thing, class), "the room's type, told by what is in it").

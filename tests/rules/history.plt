@@ -13,7 +13,7 @@ past([ parameter(now_ns, 100), parameter(history_since_ns, 10), told_past(on), t
        lived(table, object, table, 10, now), lived(shelf, object, shelf, 15, now), lived(tray, object, tray, 30, 50),
        sighted(tray, 30, 45),
        lasted(on, cup, table, 10, 20), lasted(on, cup, shelf, 30, now), lasted(on, tray, shelf, 30, 50),
-       had(shelf, state, clean, 15, 60), had(shelf, state, dusty, 60, now),
+       had(shelf, name, "Old shelf", 15, 40), had(shelf, state, clean, 15, 60), had(shelf, state, dusty, 60, now),
        event(vanished, tray, 50, none, none), event(relabelled, cup, 25, cup, vase),
        told(moment(breakfast, 12)) ]).
 
@@ -47,6 +47,8 @@ test(when_something_happened, all(X == [shelf])) :- holds(on(cup, X), vanished(t
 test(a_class_is_that_of_then, true(Truths == [true, false, true])) :-
     findall(T, ( member(Class-At, [vase-12, cup-12, cup-30]), truth(holds(on(any(Class), _), At), T) ), Truths).
 test(a_label_of_then, all(Class == [vase])) :- holds(label(cup, Class), 12).
+test(a_name_of_then, true(Truths == [true, false])) :-
+    findall(T, ( member(At, [35, 45]), truth(holds(on(cup, any(old_shelf)), At), T) ), Truths).
 test(an_attribute_of_then, all(Value == [clean])) :- holds(attribute(shelf, state, Value), 59).
 test(a_life_goes_on_with_another_label, all(F-T == [10-now])) :- held(node(cup, object), F, T).
 test(a_fact_must_be_named, throws(problem(unbound_variable, _, _))) :- holds(_, 12).

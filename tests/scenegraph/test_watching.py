@@ -377,5 +377,8 @@ def test_every_fact_that_changes_is_noted_when_it_is_read(knowledge: KnowledgeBa
     kept = knowledge.call("predicate_property(facts:H, dynamic), \\+ predicate_property(facts:H, imported_from(_)), "
                           "functor(H, Name, Arity)")  # fmt: skip
     noted = knowledge.call("watching:names_in(H, _), functor(H, Name, Arity)")
-    names = [{(str(row["Name"]), row["Arity"]) for row in rows} for rows in (kept, noted)]
-    assert names[0] - {("current_revision", 1)} == names[1]
+    names = [
+        {(str(row["Name"]), row["Arity"]) for row in rows if not str(row["Name"]).startswith("$wrap$")}
+        for rows in (kept, noted)
+    ]
+    assert names[0] ^ names[1] == {("current_revision", 1)}
