@@ -16,15 +16,15 @@ import sys
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, cast
 
 from reasoning.errors import EngineUnavailable, InvalidRules
 from reasoning.terms import Atom, Compound, Term, decode_json, term_text
 from rules import rule_path
 
-__all__ = ["Engine", "problem"]
+__all__ = ["Engine", "learning", "problem"]
 
 _HEADER = struct.Struct("<QQ")
 _GRACE_S = 0.5
@@ -38,6 +38,12 @@ def problem(code: str, message: str, hint: str = "") -> Compound:
     return Compound("problem", (Atom(code), message, hint))
 
 
+def learning(rules: str, names: Literal["known", "any", "signatures"]) -> Compound:
+    """The command to take in the rules of that name; which things and classes they may name: see `learn/4` in
+    `rules/told_rules.pl`."""
+    return Compound("learn", (Atom(rules), Atom(names)))
+
+
 def _timed_out() -> Compound:
     return problem("timeout", "the goal did not end in the time it was given and had to be broken off")
 
@@ -47,6 +53,7 @@ class Engine:
 
     rule_files         : a user's own rules, loaded after ours; an error or a warning in one raises `InvalidRules`
     remembered         : gives the text of all facts, which a new worker is told when the old one had to be killed
+    remembered_rules   : gives the texts of the rules that were told, by their names, which it is told after that
     stack_limit_bytes  : what one goal may use on Prolog's stacks
     memory_limit_bytes : what the whole process may use; beyond it, it is replaced
     """
@@ -56,6 +63,7 @@ class Engine:
         rule_files: Sequence[Path | str] = (),
         *,
         remembered: Callable[[], str] = str,
+        remembered_rules: Callable[[], Mapping[str, str]] = dict,
         stack_limit_bytes: int = 256 << 20,
         memory_limit_bytes: int = 4 << 30,
     ) -> None:
@@ -63,7 +71,7 @@ class Engine:
         for file in self._rule_files:
             if not file.is_file():
                 raise InvalidRules(f"rule_files: {str(file)!r} is not a file")
-        self._remembered = remembered
+        self._remembered, self._remembered_rules = remembered, remembered_rules
         self._limits = (stack_limit_bytes, memory_limit_bytes)
         self._lock = threading.RLock()
         self._process: subprocess.Popen[bytes] | None = None
@@ -91,6 +99,8 @@ class Engine:
 
         A worker that has not answered within `timeout_s` and a little grace is killed and replaced.
         """
+        if not _is_unicode(payload):
+            return problem("syntax_error", "the text holds half a surrogate pair: expected characters of Unicode")
         with self._lock:
             self._ensure_running()
             for _ in range(2):  # a worker that died may have been killed from outside: the next one shows
@@ -175,6 +185,10 @@ class Engine:
             facts = self._remembered()
             if facts and loaded == Atom("loaded"):
                 self._update(facts)
+            rules = self._remembered_rules().items()
+            for names in cast("tuple[Literal['signatures', 'any'], ...]", ("signatures", "any")):
+                for name, text in rules:
+                    self._exchange(learning(name, names), text, _START_TIMEOUT_S)
         except (TimeoutError, EOFError, BrokenPipeError) as error:
             self._stop()
             raise EngineUnavailable(
@@ -201,6 +215,14 @@ def _end(process: subprocess.Popen[bytes], pipes: tuple[int, int], owner: int) -
         process.wait()
     for pipe in pipes:
         os.close(pipe)
+
+
+def _is_unicode(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _batches(text: str) -> Iterator[str]:

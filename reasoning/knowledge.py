@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
 
-from reasoning.engine import Engine
-from reasoning.errors import GoalFailed
+from reasoning.engine import Engine, learning
+from reasoning.errors import GoalFailed, InvalidRules
 from reasoning.facts import FactStore
 from reasoning.terms import Atom, Compound, Term, Var, term_text
 from reasoning.watching import Question, Watching
@@ -165,7 +165,12 @@ class KnowledgeBase:
 
     def __init__(self, rule_files: Sequence[Path | str] = ()) -> None:
         self._facts = FactStore()
-        self._engine = Engine(rule_files, remembered=self._facts.text)
+        self._told: dict[str, tuple[str, dict[str, str]]] = {}
+        self._engine = Engine(
+            rule_files,
+            remembered=self._facts.text,
+            remembered_rules=lambda: {name: text for name, (text, _) in self._told.items()},
+        )
         self._watching = Watching(self._engine, self._facts, _reply)
 
     def __enter__(self) -> KnowledgeBase:
@@ -268,10 +273,48 @@ class KnowledgeBase:
                 edges.append(DerivedEdge(inverse, b, a, value, threshold, confidence))
         return [atom.name for atom in cast(list[Atom], answer["Ids"])], edges
 
+    @property
+    def rules(self) -> dict[str, dict[str, str]]:
+        """The rules that were told, by name: the words that they define, with what each means."""
+        return {name: dict(words) for name, (_, words) in self._told.items()}
+
+    def learn(self, name: str, text: str, *, again: bool = False) -> dict[str, str]:
+        """Take in rules that anybody told, in the place of those of that name: the words that they define.
+
+        They may define new words, each with its signature, by the words there are, logic and arithmetic, and nothing
+        else (`rules/told_rules.pl`). Raises `InvalidRules`, with the line; the rules are then those before.
+
+        again : they were accepted before: what they name may be gone
+        """
+        if not name:
+            raise InvalidRules("rules: expected a name for them")
+        reply = self._expect_rules(
+            self._engine.request(learning(name, "any" if again else "known"), text, timeout_s=5.0)
+        )
+        learned = [cast(Compound, word).args for word in cast(list[Term], reply.args[0])]
+        words = {str(signature).replace(",", ", "): str(meaning) for signature, meaning in learned}
+        self._told[name] = (text, words)
+        self._watching.touch()
+        return words
+
+    def unlearn(self, name: str) -> None:
+        """Forget the rules of that name. Raises `InvalidRules` when there are none, or others are defined by them."""
+        self._expect_rules(self._engine.request(Compound("unlearn", (Atom(name),)), timeout_s=5.0))
+        del self._told[name]
+        self._watching.touch()
+
+    @staticmethod
+    def _expect_rules(result: Term) -> Compound:
+        if _is(result, "problem"):
+            trouble = _problem(result)
+            raise InvalidRules(trouble.message, hint=trouble.hint, code=trouble.code)
+        return cast(Compound, result)
+
     def vocabulary(self) -> dict[str, str]:
         """The words that can be asked, with the kinds of their arguments, and what each means."""
         rows = self.call("signature(Head, Meaning)")
-        return {str(row["Head"]).replace(",", ", "): str(row["Meaning"]) for row in rows}
+        ours = {str(row["Head"]).replace(",", ", "): str(row["Meaning"]) for row in rows}
+        return ours | {word: meaning for words in self.rules.values() for word, meaning in words.items()}
 
     def phrase(self, text: str) -> Phrase:
         """What a phrase such as "near the oven" or "the red cup on the table" means; see `Phrase`."""

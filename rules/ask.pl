@@ -6,7 +6,6 @@
 :- use_module(library(lists)).
 :- use_module(library(apply)).
 :- use_module(library(time)).
-:- use_module(library(terms)).
 :- use_module(facts).
 :- use_module(vocabulary).
 :- use_module(viewpoint).
@@ -85,14 +84,37 @@ collect(_, _, _, _, _).
 largest_reply(500_000).
 
 fits_reply(Row, Count) :-
-    term_size(Row, Cells),
     arg(2, Count, Before),
-    After is Before+Cells,
-    nb_setarg(2, Count, After),
+    cells(Row, Before, After),
+    nb_setarg(2, Count, After).
+
+%   cells(+Term, +Before, -After): counts what Term has when it is written out, however much of it is shared.
+cells(Term, Before, After) :-
+    Now is Before+1,
     largest_reply(Most),
-    (   After =< Most
+    (   Now =< Most
     ->  true
     ;   throw(problem(resource_limit, "the answers are too large for a reply", "ask for less at a time"))
+    ),
+    (   compound(Term)
+    ->  compound_name_arity(Term, _, Arity),
+        cells_of_arguments(1, Arity, Term, Now, After)
+    ;   string(Term)
+    ->  string_length(Term, Length),
+        After is Now+Length//8
+    ;   After = Now
+    ).
+
+cells_of_arguments(Index, Arity, Term, Before, After) :-
+    (   Index =< Arity
+    ->  arg(Index, Term, Argument),
+        (   Index =:= Arity
+        ->  cells(Argument, Before, After)
+        ;   cells(Argument, Before, Between),
+            Next is Index+1,
+            cells_of_arguments(Next, Arity, Term, Between, After)
+        )
+    ;   After = Before
     ).
 
 %   truth(+Goal, +Rows, +Deadline, +Inferences, +Problem, -Truth, -LastProblem)

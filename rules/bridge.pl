@@ -12,10 +12,11 @@ begins with its name, a list is {"l": [...]}, a variable is {"v": ...}.
 :- use_module(library(lists)).
 :- use_module(library(apply)).
 :- use_module(library(time)).
-:- use_module(facts, [update/1]).
+:- use_module(facts, [update/1, new_revision/0]).
 :- use_module(ask).
 :- use_module(watching).
 :- use_module(language).
+:- use_module(told_rules).
 :- dynamic load_message/1.
 
 %!  serve(+Command:string, +Payload:string, -Reply:string) is det.
@@ -53,6 +54,12 @@ run(watch(Watches, Seconds), _, Replies) :-
     ask_noting(Watches, Seconds, Replies).
 run(call(Limit, Seconds), Payload, Reply) :-
     call_trusted(Payload, Limit, Seconds, Reply).
+run(learn(Rules, Names), Payload, learned(Words)) :-
+    learn(Rules, Payload, Names, Words),
+    new_revision.
+run(unlearn(Rules), _, unlearned) :-
+    unlearn(Rules),
+    new_revision.
 run(phrase, Payload, Reply) :-
     understand(Payload, Reply).
 

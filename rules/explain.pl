@@ -14,6 +14,7 @@
 :- use_module(affordances).
 :- use_module(vocabulary).
 :- use_module(readings).
+:- use_module(told_words).
 
 /** <module> Why, and why not
 
@@ -139,6 +140,18 @@ possible_instances([Thing-Class|Hidden]) :-
     possible_instance(Thing, Class),
     possible_instances(Hidden).
 
+literal_because(told_words:Call, Hidden, Names, because(Text, Truth, Rule, [], [], Children)) :-
+    !,
+    text(Call, Names, Text),
+    rule_text(told_words:Call, Rule),
+    findall(Class, ( member(Thing-Name, Hidden), class_because(Thing, Name, Class) ), Classes),
+    (   member(Truth, [true, unknown]),
+        told_clause(Call, Goal, Variables),
+        once(proof(Goal, Variables, Truth, Parts, []))
+    ->  append(Parts, Classes, Children)
+    ;   Truth = unknown,
+        Children = Classes
+    ).
 literal_because(Call, Hidden, Names, because(Text, Truth, Rule, Tests, Evidence, Children)) :-
     text(Call, Names, Text),
     rule_text(Call, Rule),
@@ -279,6 +292,11 @@ with_unit(test(Name, Value, Comparison, Threshold, Limit), test(Name, Value, Com
     ; Unit = none
     ).
 
+rule_text(told_words:Call, Text) :- !,
+    functor(Call, Name, Arity),
+    functor(Head, Name, Arity),
+    told_word(Head, _, Documentation, Rules),
+    format(string(Text), "~w/~d: ~w, by the rules ~w", [Name, Arity, Documentation, Rules]).
 rule_text(_:Call, Text) :- !,
     functor(Call, Name, Arity),
     format(string(Text), "~w/~d: a user's rule", [Name, Arity]).
@@ -314,6 +332,16 @@ first_failure([Part|Parts], Before, Prefix, Failing) :-
         Failing = Part
     ).
 
+failure(literal(told_words:Call, Hidden, _), Before, Names, because(Text, false, Rule, [], Missing, Children)) :- !,
+    source_text(Call, Hidden, Names, Text),
+    rule_text(told_words:Call, Rule),
+    missing_classes(Hidden, Missing),
+    candidates_shown(Shown),
+    findall(Child,
+            limit(Shown, ( call(Before), instances_of(Hidden), told_clause(Call, Goal, Variables),
+                           once(why_not(Goal, Variables, Child)) )),
+            Children0),
+    list_to_set(Children0, Children).
 failure(literal(Call, Hidden, _), Before, Names, because(Text, false, Rule, [], Evidence, Children)) :- !,
     source_text(Call, Hidden, Names, Text),
     rule_text(Call, Rule),

@@ -1,5 +1,8 @@
 :- module(goals,
           [ read_goal/4,                % +Text, -Goal, -Bindings, -Names
+            checked_body/3,             % +Body, +Names, -Goal
+            taken/1,                    % +Head
+            longest_goal/1,             % -Characters
             user_word/1,                % ?Head
             visible_variables/2         % +Goal, -Variables
           ]).
@@ -10,6 +13,7 @@
 :- use_module(vocabulary).
 :- use_module(history, [past_argument/3]).
 :- use_module(names).
+:- use_module(told_words).
 
 /** <module> From the text of a question to a goal that may be run
 
@@ -26,7 +30,12 @@ What is not in the vocabulary and not in the short lists below is refused before
 anything runs. readings.pl makes callable goals of the tree.
 */
 
+%!  longest_goal(-Characters) is det.
+
 longest_goal(20_000).
+
+%   any_name: while rules that were accepted before are told again, which may name what is gone.
+:- dynamic any_name/0.
 
 %   Questions are read without the operators that are declarations in Prolog and furniture in a home.
 :- forall(member(Word, [table, dynamic, discontiguous, initialization, meta_predicate, module_transparent, multifile,
@@ -55,6 +64,42 @@ read_goal(Text, Goal, Bindings, All) :-
     check(Term, Goal),
     free_variables(Goal, Free, []),
     include(free_and_named(Free), All, Bindings).
+
+%!  checked_body(+Body, +Names, -Goal) is det.
+%
+%   Goal is the body of a rule, checked like a question; Names are its variables.
+%
+%   @error problem(Code, Message, Hint)
+
+checked_body(Body, Names, Goal) :-
+    maplist(not_a_class, Names),
+    check(Body, Goal).
+
+%!  taken(+Head) is semidet.
+%
+%   The name of Head means something already: as a word, in logic, as a class or in Prolog.
+
+taken(Head) :-
+    functor(Head, Name, Arity),
+    (   signature(Other, _),
+        functor(Other, Name, _)
+    ;   user_word(Head)
+    ;   plain(Head)
+    ;   special(Name/Arity)
+    ;   built_in(Name/Arity)
+    ;   Arity =:= 1,
+        known_class(Name)
+    ),
+    !.
+
+%   built_in(+Indicator): Prolog has it; looked up so that nothing is loaded for the question.
+built_in(Name/Arity) :-
+    current_predicate(system:Name/Arity),
+    !.
+
+special(Special) :-
+    memberchk(Special, [ not/1, forall/2, once/1, call/1, distinct/1, findall/3, aggregate_all/3, limit/2, order_by/2,
+                         maximal/2, minimal/2, name/2, between/3, signature/2 ]).
 
 %   one_goal(+Text): nothing follows the full stop of the goal, which reading would pass over in silence.
 one_goal(Text) :-
@@ -244,6 +289,9 @@ askable(Name, Arity, Kinds, user_rules) :-
     user_word(Head),
     length(Kinds, Arity),
     maplist(=(any), Kinds).
+askable(Name, Arity, Kinds, told_words) :-
+    functor(Head, Name, Arity),
+    told_word(Head, Kinds, _, _).
 
 %!  user_word(+Head) is semidet.
 %
@@ -294,6 +342,7 @@ thing(Atom, Atom, Hidden, Hidden) :-
 thing(Atom, Called, [Called-Atom|Hidden], Hidden) :-
     (   known_class(Atom)
     ;   once(instance_of(_, Atom))
+    ;   any_name
     ),
     !.
 thing(Atom, _, _, _) :-
@@ -312,6 +361,9 @@ fits(Kind, Argument) :-
     memberchk(Kind, [class, key, layer, measurement]),
     atom(Argument).
 
+known(_, _) :-
+    any_name,
+    !.
 known(class, Class) :- !,
     ( known_class(Class) -> true ; once(instance_of(_, Class)) -> true
     ; findall(C, known_class(C), Names), unknown_name(Class, Names) ).
@@ -335,7 +387,7 @@ known(_, _).
 refuse(Term) :-
     functor(Term, Name, Arity),
     functor(Head, Name, Arity),
-    (   (   predicate_property(system:Head, defined)
+    (   (   built_in(Name/Arity)
         ;   predicate_property(user:Head, autoload(_))
         ;   memberchk(Name, [setof, bagof, assert])
         )
@@ -353,7 +405,7 @@ refuse(Term) :-
     ->  format(string(Message), "~w is a class and takes one argument", [Name]),
         format(string(Hint), "did you mean ~w(X)?", [Name]),
         throw(problem(unknown_predicate, Message, Hint))
-    ;   findall(Word, ( signature(Known, _), functor(Known, Word, _) ), Words),
+    ;   findall(Word, ( ( signature(Known, _) ; told_word(Known, _, _, _) ), functor(Known, Word, _) ), Words),
         most_alike(Name, Words, Nearest),
         format(string(Message), "~w/~d is not known", [Name, Arity]),
         did_you_mean(Nearest, Hint),

@@ -36,7 +36,7 @@ known_value(Value) :-
     member(Value, [ red, green, blue, yellow, orange, brown, black, white, grey, gray, pink, purple, beige,
                     open, closed, true, false, wood, metal, glass, plastic, fabric, stone, ceramic, paper ]).
 
-%!  unknown_name(+Atom, +Names:list(atom)) is erroneous.
+%!  unknown_name(+Atom, +Names:list(atom)) is failure.
 %
 %   @error problem(unknown_name, ...) with the nearest of Names
 

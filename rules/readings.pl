@@ -11,6 +11,7 @@
 :- use_module(library(solution_sequences)).
 :- use_module(vocabulary).
 :- use_module(goals).
+:- use_module(told_words).
 
 /** <module> What is certain and what is possible
 
@@ -79,6 +80,8 @@ certain_literal(Call, Hidden, Visible, Certain) :-
 possible_literal(Call, Hidden, Visible, Possible) :-
     (   Call = user_rules:User
     ->  Goal = readings:ruled(User, possible)
+    ;   Call = told_words:Told
+    ->  Goal = told_words:told_holds(Told, possible)
     ;   Goal = vocabulary:possibly(Call)
     ),
     (   Hidden == []
@@ -88,6 +91,7 @@ possible_literal(Call, Hidden, Visible, Possible) :-
     ).
 
 qualified(user_rules:Call, readings:ruled(Call, certain)) :- !.
+qualified(told_words:Call, told_words:told_holds(Call, certain)) :- !.
 qualified(Call, vocabulary:Call).
 
 types([], true).

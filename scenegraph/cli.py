@@ -373,6 +373,10 @@ def tell(
         Path | None,
         typer.Option(help="Tell a tree of classes instead: OWL or RDFS (.owl .rdf .ttl), .csv, indented .txt."),
     ] = None,
+    rules: Annotated[
+        Path | None,
+        typer.Option(help="Tell the rules in this file, which define new words.", exists=True, dir_okay=False),
+    ] = None,
     map_path: Map = None,
     connect: Connect = None,
     world: WorldName = "home",
@@ -382,11 +386,15 @@ def tell(
 ) -> None:
     """State something about the world; it is kept in the history."""
     from scenegraph.interop import read_taxonomy
+    from scenegraph.statements import telling
 
     printer = Printer(json=as_json)
-    if (statement is None) == (taxonomy is None):
-        raise typer.BadParameter("a statement or --taxonomy is needed, and not both")
-    statements = [statement] if statement is not None else read_taxonomy(str(taxonomy)).statements()
+    if [statement, taxonomy, rules].count(None) != 2:
+        raise typer.BadParameter("one is needed of: a statement, --taxonomy, --rules")
+    if rules is not None:
+        statements = [telling(rules.stem, rules.read_text(encoding="utf-8"))]
+    else:
+        statements = [statement] if statement is not None else read_taxonomy(str(taxonomy)).statements()
     with _opened(map_path, connect, world) as target:
         for one in statements:
             told = target.tell(one, author=author, reason=reason)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from typing import Any, cast
 
 from mapping.observations import ClassInfo, RobotDescription
+from reasoning.errors import InvalidRules
 from reasoning.knowledge import DerivedEdge, Explanation, KnowledgeBase, Phrase, Reply
 from reasoning.labelling import PlaneFacts, PlaneRelation, PlaneRules
 from reasoning.terms import Atom, Compound, Term, Var
@@ -18,6 +20,8 @@ from scenegraph.graph import Edge, EdgeKey, GraphChanges, Node, SceneGraph
 from scenegraph.graph.delta import NodeDeletion
 from scenegraph.perception.relations import CONTACTS, MeasurementChange
 from scenegraph.statements import Statement
+
+log = logging.getLogger(__name__)
 
 DERIVED = frozenset(
     {
@@ -248,16 +252,28 @@ class Meaning:
 
     # -- statements ---------------------------------------------------------------------------------------
     def accept(self, told: Statement) -> None:
-        """Tell the rules a fact, or that it holds no longer; other statements reach them through the graph.
+        """Tell the rules a fact, or that it holds no longer, or rules; other statements reach them through the graph.
 
-        Raises `InvalidStatement` when a class would be below itself.
+        Raises `InvalidStatement` when a class would be below itself, and for rules that are refused.
         """
-        if told.kind == "subclass":
+        if told.kind in ("rules", "forget_rules"):
+            self._take_rules(told, again=False)
+        elif told.kind == "subclass":
             self._place_class(*(facts.class_atom(str(name)) for name in told.args))
         if told.kind == "fact":
             self.knowledge.update(put=[Compound("told", told.args)])
         elif told.kind == "retract":
             self.knowledge.update(deleted=[Compound("told", told.args)])
+
+    def _take_rules(self, told: Statement, *, again: bool) -> None:
+        name, *text = (str(argument) for argument in told.args)
+        try:
+            if text:
+                self.knowledge.learn(name, text[0], again=again)
+            else:
+                self.knowledge.unlearn(name)
+        except InvalidRules as error:
+            raise InvalidStatement(str(error), hint=error.hint) from None
 
     def _place_class(self, below: str, above: str) -> None:
         """Put one class below another in the taxonomy."""
@@ -286,7 +302,13 @@ class Meaning:
         self.knowledge.update(put=put)
         self._doubts.remember(graph.edges())
         for told in statements:
-            self.accept(told)
+            if told.kind in ("rules", "forget_rules"):
+                try:
+                    self._take_rules(told, again=True)
+                except InvalidStatement as error:  # a later version may have a word of that name
+                    log.warning("rules that were told before are refused now: %s", error)
+            else:
+                self.accept(told)
 
 
 def _reason(term: Term) -> str:

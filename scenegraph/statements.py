@@ -10,7 +10,7 @@ from reasoning.knowledge import KnowledgeBase, Problem
 from reasoning.terms import Atom, Compound, Term, Var, term_text
 from scenegraph.errors import InvalidStatement, SceneGraphError
 
-__all__ = ["FORMS", "Statement", "problem", "read"]
+__all__ = ["FORMS", "Statement", "problem", "read", "telling"]
 
 FORMS = {
     ("fact", 1): "fact(Term)",
@@ -23,6 +23,8 @@ FORMS = {
     ("delete", 1): "delete(Id)",
     ("room", 2): "room(Name, [[X, Y], …])",
     ("room", 3): "room(Name, [[X, Y], …], Storey)",
+    ("rules", 2): "rules(Name, Text)",
+    ("forget_rules", 1): "forget_rules(Name)",
 }
 
 
@@ -61,6 +63,11 @@ def read(text: str, author: str, reason: str, stamp_ns: int, knowledge: Knowledg
     kind = term.name
     args = term.args if kind in ("fact", "retract") else tuple(_plain(kind, argument) for argument in term.args)
     return Statement(kind, args, text, author, reason, stamp_ns)
+
+
+def telling(name: str, rules: str) -> str:
+    """The statement that tells rules, whose text needs quotes and escapes in it: `rules(name, "…")`."""
+    return term_text(Compound("rules", (Atom(name), rules)))
 
 
 def _ground(term: Term) -> bool:

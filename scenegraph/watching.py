@@ -212,6 +212,8 @@ class Watches:
         on_change: Callable[[AnswerChange], object] | None,
     ) -> Watch:
         """Watch a goal. Raises `GoalRefused` when it cannot be asked."""
+        if not goal.isprintable() and any("\ud800" <= character <= "\udfff" for character in goal):
+            raise GoalRefused("syntax_error", "the goal holds half a surrogate pair: expected characters of Unicode")
         sought = _Sought(goal, robot, limit, timeout_s)
         answers = self._first(sought)
         if answers.problem is not None:

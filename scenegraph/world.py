@@ -370,7 +370,8 @@ class World:
     def tell(self, statement: str, *, author: str, reason: str = "") -> TellResult:
         """State something: `fact(T)`, `retract(T)`, `rename(Id, Name)`, `set(Id, Attribute, Value)`, `delete(Id)`,
         `merge(Id, Id)` of two things or two rooms, `room(Name, Polygon)`, `room(Name, Polygon, Storey)`, `split(Room,
-        [[X, Y], [X, Y]])`. Mapping on keeps it.
+        [[X, Y], [X, Y]])`, `rules(Name, Text)` that define new words by those there are, `forget_rules(Name)`. Mapping
+        on keeps it.
         """
         try:
             told = statements.read(statement, author, reason, self.graph.stamp_ns, self._knowledge)
@@ -404,6 +405,7 @@ class World:
             "edges": self.graph.n_edges,
             "classes": [c.name for c in self.labels.classes],
             "facts": len(self._knowledge),
+            "rules": self._knowledge.rules,
             "reasoner": {"pid": self._knowledge.engine.pid, "restarts": self._knowledge.engine.restarts},
             "waiting_detections": self._desk.waiting,
         }

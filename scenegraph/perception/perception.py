@@ -193,7 +193,7 @@ class Perception:
             case "split", (str(room), list(line)):
                 room_changes, rooms = told_rooms.split(self.rooms, room, line, graph, told.stamp_ns)
                 measured, touched = self._redraw(room_changes, rooms, changes, graph, told.stamp_ns)
-            case "fact" | "retract" | "subclass", _:
+            case "fact" | "retract" | "subclass" | "rules" | "forget_rules", _:
                 return changes
             case _:
                 raise InvalidStatement(f"statement: {told.text!r} does not fit", hint=FORMS[told.kind, len(told.args)])

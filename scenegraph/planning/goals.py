@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import islice, product
 from typing import TypeAlias, cast
 
-from reasoning.errors import GoalFailed
+from reasoning.errors import GoalFailed, InvalidTerm
 from reasoning.knowledge import KnowledgeBase
 from reasoning.planning import Fact, fact_text
 from reasoning.terms import Atom, Compound, Term, Var
@@ -86,7 +86,7 @@ class GoalReader:
         """Take a goal apart. Raises `GoalRefused`."""
         try:
             [answer] = self._knowledge.call(Compound("plan_goal", (text, Var("Reading"))), limit=1)
-        except GoalFailed as error:
+        except (GoalFailed, InvalidTerm) as error:
             raise GoalRefused(error.code, str(error), error.hint) from None
         reading = cast(Compound, answer["Reading"])
         if reading.name == "problem":

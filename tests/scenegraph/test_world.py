@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scenegraph.config import WorldConfig
 from scenegraph.errors import InvalidConfig
 from scenegraph.graph import Delta, SceneGraph
 from scenegraph.meaning import follows_rules
+from scenegraph.statements import telling
 from scenegraph.world import World
 from tests.support import small_home
 from tests.support.scenes import Block, Scene, looking_at
@@ -408,3 +410,24 @@ def test_a_class_may_be_called_anything(label: str) -> None:
         assert node.label == label
         assert [row["X"].id for row in world.ask("on(X, Y), object(X)")] in ([node.id], [])
         assert world.ask("on(X, Y)").truth == "true"
+
+
+def test_rules_that_were_told_last_and_can_be_taken_back(home: World, tmp_path: Path) -> None:
+    rules = 'signature(laden(thing), "something stands on it").\nladen(X) :- furniture(X), on(_, X).'
+    told = home.tell(telling("tidy", rules), author="operator", reason="to tidy up")
+    assert told.accepted, told.problem
+    assert home.status()["rules"] == {"tidy": {"laden(thing)": "something stands on it"}}
+    before = {row["X"].id for row in home.ask("laden(X)")}
+    assert before
+    home.save(tmp_path / "home.world")
+    with World.load(tmp_path / "home.world") as again:
+        assert {row["X"].id for row in again.ask("laden(X)")} == before
+    refused = home.tell('rules(tidy, "laden(X) :- halt.")', author="somebody")
+    assert not refused.accepted
+    assert refused.problem is not None
+    assert "line 1" in refused.problem.message
+    assert {row["X"].id for row in home.ask("laden(X)")} == before
+    assert home.tell("forget_rules(tidy)", author="operator").accepted
+    assert home.status()["rules"] == {}
+    assert home.ask("laden(X)").problem is not None
+    assert [s.kind for s in home.statements if "rules" in s.kind] == ["rules", "forget_rules"]
