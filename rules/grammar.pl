@@ -460,10 +460,17 @@ question([], Goal) -->
     { quantified(Quantifier, Thing, Restriction, Statement, Goal) }.
 
 question([], Goal) -->
+    somewhere_ahead([is, are]),
     subject(Thing, Noun, Quantifier, Restriction),
     to_be(_),
     predicate(Thing, Noun, Statement),
     { quantified(Quantifier, Thing, Restriction, Statement, Goal) }.
+
+%   somewhere_ahead(+Words): one of Words comes yet: without it a long phrase need not be tried in all ways.
+somewhere_ahead(Words, Text, Text) :-
+    member(Word, Words),
+    memberchk(Word, Text),
+    !.
 
 %   subject(?Thing, -Noun, -Quantifier, -Goal): "the cups" are all of them.
 subject(Thing, Noun, Quantifier, Goal) -->

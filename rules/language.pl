@@ -38,7 +38,15 @@ understand(Text, Understood) :-
     ->  Understood = problem(not_understood, "the phrase is empty", "say, for example, near the oven")
     ;   Length > 60
     ->  Understood = problem(not_understood, "the phrase has more than 60 words", "say it in fewer words")
-    ;   phrase(meaning(Kind, Relation, Sought, Goal), Words)
+    ;   call_with_inference_limit(meant(Words, Meant), 600_000, Result),
+        Result \== inference_limit_exceeded
+    ->  Understood = Meant
+    ;   Understood = problem(not_understood, "the phrase has too many parts to be told apart", "say it in fewer words")
+    ).
+
+%   meant(+Words, -Understood): what phrases may mean grows fast with what they join, so this is called with a limit.
+meant(Words, Understood) :-
+    (   phrase(meaning(Kind, Relation, Sought, Goal), Words)
     ->  name_variables(Sought, Goal, Names, GoalText, Definite),
         Understood = phrase(Kind, Relation, Names, GoalText, Definite)
     ;   complaint(Words, Understood)

@@ -136,6 +136,24 @@ test(long_texts_end, true(Code == not_understood)) :-
     atomic_list_concat(Parts, ' ', Text),
     understand(Text, problem(Code, _, _)).
 
+test(winding_texts_end, true(Slow == [])) :-
+    findall(Text,
+            ( member(Start-Part-End, [ "the cup"-" near the table"-" flies", "is the cup"-" near the table and"-" red red",
+                                       "which tables have a cup"-" with a cup and not on a table or a cup"-" cup",
+                                       "is the cup on a"-" cup or a table and"-"" ]),
+              winding(9, Start, Part, End, Text),
+              statistics(inferences, Before),
+              understand(Text, _),
+              statistics(inferences, After),
+              After-Before > 1_000_000 ),
+            Slow).
+
+winding(Times, Start, Part, End, Text) :-
+    findall(Part, between(1, Times, _), Parts),
+    append([Start|Parts], [End], All),
+    atomic_list_concat(All, Atom),
+    atom_string(Atom, Text).
+
 understood("the red cup on the table").
 understood("what is on the shelf?").
 understood("how far is the cup from the tv?").
