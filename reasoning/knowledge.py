@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
 
@@ -31,9 +32,15 @@ class Problem:
     hint: str | None = None
 
 
+_RELATION = re.compile(r"([a-z]\w*)\(([a-z]\w*), ([a-z]\w*)\)")
+_OPPOSITE = {">=": "<", "<": ">=", ">": "=<", "=<": ">"}
+NO_WAY_M = 1.0e9
+"""A way this long is none (`no_way` in `rules/spatial.pl`)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Test:
-    """A measurement that was compared with a threshold: `value comparison threshold` [unit]."""
+    """A measurement that was to be such that `value comparison threshold` [unit]; as text, how it was."""
 
     __test__ = False  # not one of pytest's
 
@@ -49,7 +56,23 @@ class Test:
             return f"{self.measurement.replace('_', ' ')} {self.value}"
         unit = {"metre": " m", "share": ""}.get(self.unit or "", "")
         name = "" if self.threshold_name == "nothing" else f" ({self.threshold_name})"
-        return f"{self.measurement} {_brief(self.value)}{unit} {self.comparison} {_brief(self.threshold)}{unit}{name}"
+        limit = f"{_brief(self.threshold)}{unit}{name}"
+        if self.passed is None:
+            return f"{self.measurement} unknown, since the space was never seen: {self.comparison} {limit} is open"
+        if self.unit == "metre" and isinstance(self.value, float) and self.value >= NO_WAY_M:
+            return f"{self.measurement}: no way is known, to be {self.comparison} {limit}"
+        comparison = self.comparison if self.passed else _OPPOSITE[self.comparison]
+        return f"{self.measurement} {_brief(self.value)}{unit} {comparison} {limit}"
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether the value is as it was to be; None when it is not known."""
+        if self.comparison not in _OPPOSITE:
+            return True
+        value, limit = self.value, self.threshold
+        if not isinstance(value, int | float) or not isinstance(limit, int | float):
+            return None
+        return {">=": value >= limit, ">": value > limit, "=<": value <= limit, "<": value < limit}[self.comparison]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +80,7 @@ class Explanation:
     """Why something holds, or does not, or is open: the rule, the tests, the facts, and the same for its parts.
 
     For a goal that does not hold, the children of the part that fails are the candidates that came closest.
+    observations : what an edge was seen by: `robot/sensor@stamp`
     """
 
     goal: str
@@ -65,6 +89,7 @@ class Explanation:
     tests: tuple[Test, ...] = ()
     evidence: tuple[Term, ...] = ()
     children: tuple[Explanation, ...] = ()
+    observations: tuple[str, ...] = ()
 
     @property
     def text(self) -> str:
@@ -80,8 +105,17 @@ class Explanation:
         if not self.tests:
             for fact in self.evidence:
                 yield f"{pad}    {fact}"
+        if self.observations:
+            yield f"{pad}    seen by {', '.join(self.observations)}"
         for child in self.children:
             yield from child._lines(depth + 1)
+
+    def witnessed(self, by: Callable[[str, str, str], tuple[str, ...]]) -> Explanation:
+        """The same with the observations of each relation in it; `by` gives them for relation, source and target."""
+        found = _RELATION.fullmatch(self.goal)
+        seen = by(*found.groups()) if found is not None and self.truth == "true" else ()
+        children = tuple([child.witnessed(by) for child in self.children])
+        return replace(self, children=children, observations=seen)
 
     def as_json(self) -> dict[str, Any]:
         """The explanation as plain dicts, lists, strings and numbers."""
@@ -102,6 +136,7 @@ class Explanation:
             ],
             "evidence": [term_text(fact) for fact in self.evidence],
             "children": [child.as_json() for child in self.children],
+            "observations": list(self.observations),
         }
 
 

@@ -12,6 +12,7 @@
 :- use_module(ways).
 :- use_module(history).
 :- use_module(affordances).
+:- use_module(properties).
 :- use_module(vocabulary).
 :- use_module(readings).
 :- use_module(told_words).
@@ -101,7 +102,7 @@ proof(plain(Call), Names, Reading, [because(Text, true, "", [], [], [])|Rest], R
     readings(plain(Call), Certain, Possible),
     ( Reading == true -> call(Certain) ; call(Possible) ),
     text(Call, Names, Text).
-proof(Goal, Names, Reading, [because(Text, Truth, Rule, [], [], [])|Rest], Rest) :-
+proof(Goal, Names, Reading, [because(Text, Truth, Rule, [], [], Children)|Rest], Rest) :-
     readings(Goal, Certain, Possible),
     (   call(Certain)
     *-> Truth = true
@@ -110,7 +111,34 @@ proof(Goal, Names, Reading, [because(Text, Truth, Rule, [], [], [])|Rest], Rest)
         Truth = unknown
     ),
     quantifier_rule(Goal, Truth, Rule),
-    goal_text(Goal, Names, Text).
+    goal_text(Goal, Names, Text),
+    findall(Child, decisive(Goal, Truth, Names, Child), Children).
+
+%   decisive(+Goal, +Truth, +Names, -Because) is nondet: the candidates that decide what is said of all or of none.
+decisive(not(A), true, Names, Because) :-
+    once(why_not(A, Names, Because)).
+decisive(not(A), Open, Names, Because) :-
+    Open \== true,
+    holding(A, Open, Names, Because).
+decisive(all(A, B), true, Names, Because) :-
+    holding(and(A, B), true, Names, Because).
+decisive(all(A, B), Open, Names, Because) :-
+    Open \== true,
+    holding(and(A, not(B)), Open, Names, Because).
+decisive(collect(_, _, A), Truth, Names, Because) :-
+    ( Truth == unknown -> Reading = unknown ; Reading = true ),
+    holding(A, Reading, Names, Because).
+decisive(extreme(_, _, _, A), _, Names, Because) :-
+    holding(A, true, Names, Because).
+
+%   holding(+Goal, +Truth, +Names, -Because): the first solutions of Goal that are known to hold; or, with Truth
+%   unknown, that are open; with false, those against which something that was said of all or of none fails.
+holding(Goal, Truth, Names, Because) :-
+    ( Truth == unknown -> Reading = unknown ; Reading = true ),
+    candidates_shown(Most),
+    limit(Most, proof(Goal, Names, Reading, Parts, [])),
+    ( Truth == unknown -> \+ \+ ( member(because(_, unknown, _, _, _, _), Parts) ) ; true ),
+    member(Because, Parts).
 
 quantifier_rule(not(_), true, "no candidate is possible") :- !.
 quantifier_rule(not(_), unknown, "nothing is known to hold it, but a candidate is open") :- !.
@@ -239,10 +267,11 @@ reason(Call, true, [], [Call]) :-
 reason(Module:Call, true, [], [Call]) :-
     call(Module:Call),
     !.
-reason(Call, true, [], []) :-
+reason(Call, true, [], Facts) :-
     Call \= _:_,
     call(vocabulary:Call),
-    !.
+    !,
+    findall(Fact, rests_on(Call, Fact), Facts).
 
 %   offered(+Call, ?Thing, -Truth, -Tests): what a thing affords, or the robot can do with it.
 offered(Call, Thing, Truth, Tests) :-
@@ -359,11 +388,28 @@ failure(literal(Call, Hidden, _), Before, Names, because(Text, false, Rule, [], 
     ->  Evidence = [no_measured_pair(Relation)]
     ;   Evidence = Missing
     ).
-failure(Part, _, Names, because(Text, false, Rule, [], [], [])) :-
+failure(plain(Call), Before, Names, because(Text, false, "", [], [], Children)) :- !,
+    goal_text(plain(Call), Names, Text),
+    candidates_shown(Shown),
+    findall(Compared,
+            ( distinct(Compared, limit(Shown, ( call(Before), text(Call, Names, Compared) ))),
+              Compared \== Text ),
+            Texts),
+    findall(because(One, false, "", [], [], []), member(One, Texts), Children).
+failure(or(A, B), Before, Names, because(Text, false, "neither holds", [], [], Children)) :- !,
+    goal_text(or(A, B), Names, Text),
+    findall(Child, ( member(Part, [A, B]), once(( call(Before), why_not(Part, Names, Child) )) ), Children).
+failure(Part, Before, Names, because(Text, false, Rule, [], [], Children)) :-
     goal_text(Part, Names, Text),
     ( Part = not(_) -> Rule = "it holds of a candidate"
     ; Part = all(_, _) -> Rule = "a candidate is an exception"
-    ; Rule = "" ).
+    ; Part = collect(_, _, _) -> Rule = "it comes to something else"
+    ; Rule = "" ),
+    findall(Child, once_before(Before, decisive(Part, false, Names, Child)), Children).
+
+once_before(Before, Goal) :-
+    once(( call(Before), \+ \+ call(Goal) )),
+    call(Goal).
 
 missing_classes(Hidden, Missing) :-
     findall(no_instance(Class), ( member(_-Class, Hidden), \+ instance_of(_, Class) ), Missing).
@@ -378,6 +424,12 @@ candidate(Call, Hidden, Names, Distance, because(Text, Truth, "", Tests, Evidenc
     maplist(with_unit, Tests0, Tests),
     findall(Fact, evidence(Tests0, A, B, Fact), Evidence).
 
+candidate(Call, Hidden, _, 0, because(Text, true, "", [], Facts, [])) :-
+    instead(Call, Held),
+    instances_of(Hidden),
+    call(vocabulary:Held),
+    text(Held, [], Text),
+    findall(Fact, rests_on(Held, Fact), Facts).
 candidate(Call, Hidden, Names, Distance, because(Text, Truth, "", Tests, [], [])) :-
     instances_of(Hidden),
     offered(Call, _, Truth, Tests0),
@@ -391,6 +443,40 @@ candidate(Call, _, Names, Distance, because(Text, false, "", Tests, Evidence, []
     past_miss(Call, Distance, Tests0, Evidence),
     text(Call, Names, Text),
     maplist(with_unit, Tests0, Tests).
+
+%   instead(+Call, -Other): what is true in the place of Call, which is false.
+instead(Call, Other) :-
+    Call =.. [Property, Thing, _],
+    property_name(Property),
+    !,
+    Other =.. [Property, Thing, _].
+instead(gap(A, B, _), gap(A, B, _)).
+instead(distance(A, B, _), distance(A, B, _)).
+instead(larger(A, B), larger(B, A)).
+instead(room_type(Room, _), room_type(Room, _)).
+instead(Call, Other) :-
+    Call =.. [Word, _, Class|More],
+    memberchk(Word/More, [nearest/[_], farthest/[_], largest/[], smallest/[], tallest/[], latest/[]]),
+    Other =.. [Word, _, Class|More].
+
+%   rests_on(+Call, -Fact) is nondet: the measured facts that a word is worked out from.
+rests_on(color(A, _), attribute(A, color, Color)) :- attribute(A, color, Color).
+rests_on(Call, size(A, X, Y, Z)) :-
+    Call =.. [Word, A, _],
+    memberchk(Word, [size, volume, height, width, depth, area, largest, smallest, tallest]),
+    size(A, X, Y, Z).
+rests_on(larger(A, B), size(Id, X, Y, Z)) :- member(Id, [A, B]), size(Id, X, Y, Z).
+rests_on(latest(A, _), seen(A, First, Last)) :- seen(A, First, Last).
+rests_on(distance(A, B, _), position(Id, X, Y, Z)) :- member(Id, [A, B]), position(Id, X, Y, Z).
+rests_on(nearest(A, _, B), position(Id, X, Y, Z)) :- member(Id, [A, B]), position(Id, X, Y, Z).
+rests_on(farthest(A, _, B), position(Id, X, Y, Z)) :- member(Id, [A, B]), position(Id, X, Y, Z).
+rests_on(gap(A, B, _), measured(gap, A, B, Gap)) :- mutual(gap, A, B, Gap).
+rests_on(adjacent(A, B), edge(connects, Door, Room, Value, Threshold, Confidence)) :-
+    edge(connects, Door, A, _, _, _),
+    edge(connects, Door, B, _, _, _),
+    member(Room, [A, B]),
+    edge(connects, Door, Room, Value, Threshold, Confidence).
+rests_on(room_type(Room, Type), Reason) :- room_type(Room, Type, Reason).
 
 instances_of([]).
 instances_of([Thing-Class|Hidden]) :-
@@ -444,10 +530,22 @@ goal_text(Goal, Names, Text) :-
     source(Copy, Source),
     write_text(Source, CopiedNames, Text).
 
-write_text(Term, Names, Text) :-
+write_text(Term0, Names0, Text) :-
+    copy_term(Term0-Names0, Term-Names),
     include(unbound, Names, Variables),
+    term_variables(Variables, Named),
+    term_variables(Term, All),
+    maplist(nameless(Named), All),
     with_output_to(string(Text),
-                   write_term(Term, [quoted(true), variable_names(Variables), spacing(next_argument), max_depth(50)])).
+                   write_term(Term, [ quoted(true), variable_names(Variables), numbervars(true),
+                                      spacing(next_argument), max_depth(50) ])).
+
+nameless(Named, Variable) :-
+    (   member(Other, Named),
+        Other == Variable
+    ->  true
+    ;   Variable = '$VAR'('_')
+    ).
 
 unbound(_=Value) :- var(Value).
 

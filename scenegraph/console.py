@@ -381,6 +381,8 @@ def _tree(explanation: Mapping[str, Any], brief: bool) -> Tree:
         tree.add(Text(_test(test), style="cyan"))
     for fact in () if brief and tests else explanation.get("evidence") or ():
         tree.add(Text(_fact(fact), style="dim"))
+    if explanation.get("observations"):
+        tree.add(Text(f"seen by {', '.join(explanation['observations'])}", style="dim"))
     for child in explanation.get("children") or ():
         tree.children.append(_tree(child, brief))
     return tree

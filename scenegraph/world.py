@@ -24,7 +24,7 @@ from mapping.observations import (
     Scan,
     Transform,
 )
-from reasoning.knowledge import KnowledgeBase
+from reasoning.knowledge import Explanation, KnowledgeBase
 from reasoning.planning import Planner, Task
 from scenegraph import phrases, statements, storing
 from scenegraph.answers import Answers, Place, TellResult
@@ -236,7 +236,7 @@ class World:
                 self._measure_for(asked.goal)
             return self.meaning.ask(
                 asked, self.graph, robot=robot, limit=limit, timeout_s=timeout_s, at_ns=at_ns, explain=explain,
-                why=lambda: answer(True).reply.explanation,
+                why=lambda: self._witnessed(answer(True).reply.explanation),
             )  # fmt: skip
 
         return answer(False)
@@ -258,6 +258,15 @@ class World:
         Raises `GoalRefused` with the problem that asking the goal has.
         """
         return self.watches.add(goal, robot, limit, timeout_s, on_change)
+
+    def _witnessed(self, why: Explanation | None) -> Explanation | None:
+        """An explanation with the observations that the graph's edges were seen by."""
+
+        def by(relation: str, source: str, target: str) -> tuple[str, ...]:
+            edge = self.graph.edge(relation, source, target)
+            return () if edge is None else tuple(map(str, edge.evidence))
+
+        return None if why is None else why.witnessed(by)
 
     def _measure_for(self, goal: str) -> None:
         """Measure what a goal asks for that is not kept: what is seen, reached and blocked, and the outlines of what

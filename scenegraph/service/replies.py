@@ -113,6 +113,7 @@ def explanation_of(document: Mapping[str, Any]) -> Explanation:
         tests=tuple(Test(**test) for test in document.get("tests", ())),
         evidence=tuple(document.get("evidence", ())),
         children=tuple(explanation_of(child) for child in document.get("children", ())),
+        observations=tuple(document.get("observations", ())),
     )
 
 

@@ -114,3 +114,35 @@ def test_a_viewpoint_answer_names_its_frame(home: KnowledgeBase) -> None:
 
 def test_an_explanation_is_only_made_when_asked_for(home: KnowledgeBase) -> None:
     assert home.ask("on(cup, table)").explanation is None
+
+
+@pytest.mark.parametrize(
+    ("goal", "fragment"),
+    [
+        ("near(tv, oven)", "path_gap_upper 8 m > 0.9 m (near_distance)"),
+        ("on(mug_1, table_1)", "contact 0.05 < 0.2 (contact_share)"),
+        ("near(chair, oven)", "path_gap_upper: no way is known, to be =< 0.525 m (near_distance)"),
+        ("\\+ on(cup, table)", "yes: on(cup_1, table_1)"),
+        ("\\+ near(tv, oven)", "no: near(tv_1, oven_1)"),
+        ("\\+ near(chair, oven)", "open: near(chair_1, oven_1)"),
+        ("forall(on(X, table), on(X, book))", "no: on(cup_1, book)"),
+        ("forall((near(X, oven), chair(X)), on(X, table))", "open: near(chair_1, oven_1)"),
+        ("aggregate_all(count, on(_, table), N)", "yes: on(bowl_1, table_1)"),
+        ("aggregate_all(count, on(_, table), 7)", "it comes to something else"),
+        ("on(oven, cup) ; on(tv, cup)", "neither holds"),
+        ("distance(cup_1, oven_1, D), D > 3", "no: 0.873"),
+        ("on(X, table), X == mug_1", "no: cup_1==mug_1"),
+        ("color(cup_1, blue)", "yes: color(cup_1, red)"),
+        ("height(table, H)", "size(table_1,1.4,0.8,0.75)"),
+        ("largest(cup_1, furniture)", "yes: largest(sofa_1, furniture)"),
+        ("nearest(X, cup, oven_1)", "position(cup_1,0.8,0.0,0.8)"),
+        ("maximal(V, (cup(X), volume(X, V)))", "yes: volume(cup_1, 0.00064)"),
+        ("larger(cup, table)", "yes: larger(table_1, cup_1)"),
+        ("room_type(room_2, kitchen)", "yes: room_type(room_2, living_room)"),
+        ("adjacent(kitchen, living_room)", "edge(connects,door_1,room_2"),
+        ("graspable(table)", "grasp_width 0.75 m > 0.12 m (hand_opening)"),
+    ],
+)
+def test_it_goes_down_to_what_decides(home: KnowledgeBase, goal: str, fragment: str) -> None:
+    text = explain(home, goal).text
+    assert fragment in text, text

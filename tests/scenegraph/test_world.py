@@ -431,3 +431,12 @@ def test_rules_that_were_told_last_and_can_be_taken_back(home: World, tmp_path: 
     assert home.status()["rules"] == {}
     assert home.ask("laden(X)").problem is not None
     assert [s.kind for s in home.statements if "rules" in s.kind] == ["rules", "forget_rules"]
+
+
+def test_a_proof_goes_down_to_the_observations(home: World) -> None:
+    why = home.ask("on(vase, table)").explain()
+    assert why is not None
+    [on] = why.children
+    assert on.observations
+    assert all(seen.startswith("rob/camera@") for seen in on.observations)
+    assert f"seen by {on.observations[0]}" in why.text
