@@ -239,7 +239,7 @@ def _alternatives(
                 yield Action(name, arguments, tuple(needed), tuple(effects))
 
 
-def ground_task(task: Task, schemas: Schemas, most_actions: int = 200_000) -> GroundTask:
+def ground_task(task: Task, schemas: Schemas, most_actions: int = 1_000_000) -> GroundTask:
     """The actions that matter to a task. Raises `TooLarge`."""
     grounder = _Grounder(task, schemas, most_actions)
     grounder.explore()

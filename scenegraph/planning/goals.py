@@ -20,9 +20,10 @@ __all__ = ["Aim", "Chooser", "Goal", "GoalReader", "Group", "Literal", "Wish"]
 
 Literal: TypeAlias = tuple[bool, Fact]
 
-MOST_CANDIDATES = 40
-"""Of things of a class so many are weighed against each other: those that fit already, then the nearest."""
+WIDTHS = (6, 60, 100_000)
+"""Of things of a class so many are weighed against each other, the nearest first; more where these will not do."""
 MOST_COMBINATIONS = 4_000
+MOST_REASONS = 50
 MOST_HOSTS = 3
 
 
@@ -180,75 +181,96 @@ def _groups(
         yield Group(tuple(members), domains, classes, about)
 
 
+def _together(ways: Sequence[Aim], binding: dict[str, str]) -> Aim | None:
+    """Ways of bringing single wishes about as one; None when they contradict each other."""
+    literals = tuple(dict.fromkeys(literal for way in ways for literal in way.literals))
+    if any((not holds, fact) in literals for holds, fact in literals):
+        return None
+    scope = Scope()
+    for way in ways:
+        scope.join(way.scope)
+    about = frozenset().union(*(way.about for way in ways)) | frozenset(binding.values())
+    return Aim(sum(way.cost for way in ways), literals, scope, about)
+
+
 class Chooser:
     """Weighs what the wishes of a group may be about, in a situation."""
 
     def __init__(self, situation: Situation) -> None:
         self._now = situation
+        self._found: dict[Wish, list[Aim]] = {}
 
     def aims(self, group: Group) -> tuple[list[Aim], list[str]]:
         """The ways to bring a group about, cheapest first; and why others are none."""
         reasons: list[str] = []
         found: list[tuple[float, int, Aim]] = []
-        for number, binding in enumerate(self._bindings(group)):
-            options = [self._ways(wish.bound(binding), reasons) for wish in group.wishes]
-            for ways in islice(product(*options), 12):
-                scope = Scope()
-                for way in ways:
-                    scope.join(way.scope)
-                about = frozenset().union(*(way.about for way in ways)) | frozenset(binding.values())
-                literals = tuple(dict.fromkeys(literal for way in ways for literal in way.literals))
-                if not any((not holds, fact) in literals for holds, fact in literals):
-                    cost = sum(way.cost for way in ways)
-                    found.append((cost, number, Aim(cost, literals, scope, about)))
+        for most in WIDTHS:
+            bindings = self._bindings(group, most, reasons)
+            for number, binding in enumerate(islice(bindings, MOST_COMBINATIONS)):
+                options = [self._ways(wish.bound(binding), reasons) for wish in group.wishes]
+                for ways in islice(product(*options), 12):
+                    aim = _together(ways, binding)
+                    if aim is not None:
+                        found.append((aim.cost, number, aim))
+                if found and found[-1][0] == 0.0:
+                    return [found[-1][2]], reasons
+            if found:
+                break
         best = heapq.nsmallest(200, found, key=lambda item: item[:2])
         return [aim for *_, aim in best], list(dict.fromkeys(reasons))
 
-    def _bindings(self, group: Group) -> Iterator[dict[str, str]]:
-        """What may stand for the variables of a group, whatever is promising first."""
-        rows: list[dict[str, str]] = [{}]
+    def _bindings(self, group: Group, most: int, reasons: list[str]) -> Iterator[dict[str, str]]:
+        """What may stand for the variables of a group: what fits already, then the `most` nearest for each."""
+        named = {a for wish in group.wishes for a in wish.arguments if a[0] == "?"}
+        domains = {name: list(ids) for name, ids in group.domains.items()}
+        joint = []
         for names, held in group.relations:
+            if len(names) == 1:
+                only = {row[0] for row in held}
+                known = domains.get(names[0])
+                domains[names[0]] = sorted(only) if known is None else [v for v in known if v in only]
+            else:
+                joint.append((names, held))
+        fitting = self._fitting(group, domains) if not joint else []
+        yield from (fit for fit in fitting if len(fit) == len(named))
+        rows: list[dict[str, str]] = [{}]
+        for names, held in joint:
             rows = [
                 {**row, **dict(zip(names, values, strict=True))}
                 for row in rows
                 for values in sorted(held)
-                if all(row.get(n, v) == v for n, v in zip(names, values, strict=True))
+                if all(row.get(n, v) == v and v in domains.get(n, (v,)) for n, v in zip(names, values, strict=True))
             ][:MOST_COMBINATIONS]
-        named = {a for wish in group.wishes for a in wish.arguments if a[0] == "?"}
-        rows = [row for row in rows if all(row.get(n) in group.domains[n] for n in row if n in group.domains)]
-        open_names = sorted(named - {name for names, _ in group.relations for name in names})
-        if not open_names:
-            yield from rows
-            return
-        fitting = self._fitting(group)
-        yield from ({**row, **fit} for fit in fitting for row in rows if len(fit) == len(open_names))
-        lists = [self._nearest(group.domains[name]) for name in open_names]
-        combinations = islice(product(rows, product(*lists)), MOST_COMBINATIONS)
-        for row, values in combinations:
-            yield {**row, **dict(zip(open_names, values, strict=True))}
+        single = sorted(named - {name for names, _ in joint for name in names})
+        alone = {n: [w for w in group.wishes if {a for a in w.arguments if a[0] == "?"} == {n}] for n in single}
+        lists = [list(islice(self._feasible(n, domains[n], alone[n], reasons), most)) for n in single]
+        for row, values in product(rows, product(*lists)):
+            yield {**row, **dict(zip(single, values, strict=True))}
 
-    def _fitting(self, group: Group) -> list[dict[str, str]]:
-        """Bindings under which a lone relation of two things holds already."""
+    def _fitting(self, group: Group, domains: Mapping[str, Sequence[str]]) -> list[dict[str, str]]:
+        """A binding under which a lone relation of two things holds already."""
         if len(group.wishes) != 1 or group.wishes[0].name not in ("on", "in") or not group.wishes[0].holds:
             return []
         thing, host = group.wishes[0].arguments
-        things = set(group.domains.get(thing, (thing,)))
-        for carrier in group.domains.get(host, (host,)):
+        things = set(domains.get(thing, (thing,)))
+        for carrier in domains.get(host, (host,)):
             if carrier in self._now.graph and self._now.graph.node(carrier).layer in ("object", "structure"):
                 for child in self._now.children(carrier):
                     if child in things:
                         return [{n: v for n, v in ((thing, child), (host, carrier)) if n[0] == "?"}]
         return []
 
-    def _nearest(self, ids: Sequence[str]) -> list[str]:
-        """The most promising of many candidates: the nearest to the robot, by air and then by the doors."""
-        known = [i for i in ids if i in self._now.graph]
-        if len(known) > MOST_CANDIDATES and self._now.site is not None and self._now.site in self._now.graph:
-            at = self._now.graph.node(self._now.site).position
-            known = heapq.nsmallest(
-                MOST_CANDIDATES, known, key=lambda i: math.dist(self._now.graph.node(i).position, at)
-            )
-        return sorted(known, key=lambda i: (self._away(i), i))
+    def _feasible(self, name: str, ids: Sequence[str], wishes: Sequence[Wish], reasons: list[str]) -> Iterator[str]:
+        """Candidates of which the wishes that are about them alone can be brought about, those nearest by air first;
+        the nearest few of them in the order of the ways."""
+        now = self._now
+        known = [i for i in ids if i in now.graph]
+        if now.site is not None and now.site in now.graph:
+            at = now.graph.node(now.site).position.tolist()
+            known.sort(key=lambda i: (math.dist(now.graph.node(i).position.tolist(), at), i))
+        fit = (i for i in known if all(self._ways(wish.bound({name: i}), reasons) for wish in wishes))
+        while few := list(islice(fit, 12)):
+            yield from sorted(few, key=lambda i: (self._away(i), i))
 
     def _away(self, node_id: str) -> float:
         node = self._now.graph.node(node_id)
@@ -257,11 +279,14 @@ class Chooser:
     # -- wishes ----------------------------------------------------------------------------------------------
     def _ways(self, wish: Wish, reasons: list[str]) -> list[Aim]:
         """How a wish can be brought about; where it cannot, `reasons` is told why."""
-        try:
-            return list(getattr(self, f"_{wish.name}")(wish))
-        except GoalRefused as refused:
-            reasons.append(refused.message)
-            return []
+        if wish not in self._found:
+            try:
+                self._found[wish] = list(getattr(self, f"_{wish.name}")(wish))
+            except GoalRefused as refused:
+                self._found[wish] = []
+                if len(reasons) < MOST_REASONS:
+                    reasons.append(refused.message)
+        return self._found[wish]
 
     def _check(self, why_not: str | None) -> None:
         if why_not is not None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Generator, Sequence
+from dataclasses import replace
 from typing import NamedTuple, TypeAlias, TypeVar
 
 from reasoning.knowledge import Problem
@@ -103,13 +104,28 @@ class TaskPlanner:
             kept = Scope(things={a for _, fact in reached for a in fact[1:] if self._is_thing(a, situation)})
             kept.join(aim.scope)
             wide = situation.widen(kept)
-            task = _task(situation, wide, [*reached, *aim.literals])
-            outcome = yield from self._solve(task)
+            outcome = yield from self._doors_first(aim, situation, wide, reached)
             if outcome.status in ("solved", "timeout"):
                 return aim, wide, outcome
             if outcome.status == "unsupported":
                 raise GoalRefused("planner_failed", outcome.message)
         return None
+
+    def _doors_first(
+        self, aim: Aim, situation: Situation, scope: Scope, reached: Sequence[Literal]
+    ) -> Planning[Outcome]:
+        """Open the doors through which something will be carried, since full hands open none; then the aim."""
+        doors = [("opened", door) for door in _doors_to_open(aim, situation)] if situation.held is None else []
+        before: tuple[Action, ...] = ()
+        if doors:
+            opened = yield from self._solve(_task(situation, scope, [*reached, *((True, door) for door in doors)]))
+            if opened.status == "solved":
+                before = opened.actions
+                situation = situation.fork()
+                for action in before:
+                    situation.advance(action)
+        outcome = yield from self._solve(_task(situation, scope, [*reached, *aim.literals]))
+        return replace(outcome, actions=(*before, *outcome.actions)) if outcome.status == "solved" else outcome
 
     @staticmethod
     def _is_thing(node_id: str, situation: Situation) -> bool:
@@ -162,6 +178,18 @@ class TaskPlanner:
             task=task,
             actions=tuple(actions),
         )
+
+
+def _doors_to_open(aim: Aim, situation: Situation) -> list[str]:
+    """The shut doors between where things are and where they shall be."""
+    found: dict[str, None] = {}
+    for holds, fact in aim.literals:
+        if holds and fact[0] in ("on", "in"):
+            start, end = situation.room_of(fact[1]), situation.room_of(fact[2])
+            if start is not None and end is not None:
+                doors = situation.routes.doors_on_the_way(start, end)
+                found |= {door.node.id: None for door, _ in doors if not situation.opened(door.node.id)}
+    return list(found)
 
 
 def whole_task(goal: Goal, situation: Situation, *, scoped: bool = True) -> Task:

@@ -11,8 +11,8 @@ from scenegraph.graph import Node, SceneGraph
 
 __all__ = ["Door", "Routes"]
 
-SHUT_M = 3.0
-"""What it costs to open a door, as a way [m]."""
+SHUT_M = 20.0
+"""What a shut door costs, as a way [m]: a way through open ones is preferred, since full hands open none."""
 
 
 @dataclass(frozen=True)

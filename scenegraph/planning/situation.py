@@ -88,6 +88,9 @@ class Situation:
         self._kept: dict[str, str] = {}
         self._added: dict[str, set[str]] = {}
         self._extra: set[Fact] = set(self._told_poured())
+        self._hosts: dict[str, Host | None] = {}
+        self._of_room: dict[str, str | None] = {}
+        self._floors_of: dict[str, list[str]] = {}
 
     def _room_of_agent(self) -> str | None:
         rooms = [e.target for e in self.graph.edges("in", source=self.robot) if e.target in self.graph]
@@ -127,6 +130,11 @@ class Situation:
         """What a thing rests on or in; None when it is held, or nothing is known to carry it."""
         if thing in self._moved:
             return self._moved[thing]
+        if thing not in self._hosts:
+            self._hosts[thing] = self._seen_host(thing)
+        return self._hosts[thing]
+
+    def _seen_host(self, thing: str) -> Host | None:
         for how in ("in", "on"):
             carriers = [
                 (edge.value or 0.0, edge.target)
@@ -193,6 +201,11 @@ class Situation:
 
     def room_of(self, thing: str) -> str | None:
         """The room that a thing is in, or stands in by what carries it."""
+        if thing not in self._of_room:
+            self._of_room[thing] = self._find_room(thing)
+        return self._of_room[thing]
+
+    def _find_room(self, thing: str) -> str | None:
         if thing in self.graph and self.graph.node(thing).layer == "room":
             return thing
         site = self.reached_from(thing)
@@ -385,12 +398,14 @@ class Situation:
 
     def _floors(self, room: str) -> list[str]:
         """The floors that things of a room stand on, the most used first."""
-        used: dict[str, int] = {}
-        for edge in self.graph.edges("in", target=room):
-            for on in self.graph.edges("on", source=edge.source):
-                if self.graph.node(on.target).layer == "structure":
-                    used[on.target] = used.get(on.target, 0) + 1
-        return sorted(used, key=lambda floor: -used[floor])
+        if room not in self._floors_of:
+            used: dict[str, int] = {}
+            for edge in self.graph.edges("in", target=room):
+                for on in self.graph.edges("on", source=edge.source):
+                    if self.graph.node(on.target).layer == "structure":
+                        used[on.target] = used.get(on.target, 0) + 1
+            self._floors_of[room] = sorted(used, key=lambda floor: -used[floor])
+        return self._floors_of[room]
 
     def objects(self, scope: Scope) -> dict[str, str]:
         """The objects of a scope with their types."""
@@ -464,12 +479,13 @@ class Situation:
         twin._states = {name: dict(states) for name, states in self._states.items()}
         twin._moved, twin._reached, twin._kept = dict(self._moved), dict(self._reached), dict(self._kept)
         twin._added = {host: set(things) for host, things in self._added.items()}
-        twin._extra = set(self._extra)
+        twin._extra, twin._of_room = set(self._extra), {}
         return twin
 
     # -- change ----------------------------------------------------------------------------------------------
     def advance(self, action: Action) -> None:
         """Take an action: what it begins and ends is so from now on."""
+        self._of_room = {}
         for holds, fact in sorted(action.effects):  # what ends comes first
             match fact[0], holds:
                 case "at", True:
