@@ -162,8 +162,30 @@ contains(A, B) :- within(B, A).
 above(A, B) :- holds(above, A, B).
 under(A, B) :- holds(under, A, B).
 near(A, B) :- holds(near, A, B).
+near(A, B) :- near_agent(A, B, true).
 touching(A, B) :- holds(touching, A, B).
 next_to(A, B) :- holds(next_to, A, B).
+
+%   near_agent(?A, ?B, -Truth): one is a robot or person, which moves too often to be measured like things: by its place,
+%   true in the same room, and unknown through what may be a wall.
+near_agent(A, B, Truth) :-
+    (   nonvar(B), node(B, agent)
+    ->  Agent = B, Thing = A
+    ;   nonvar(A), node(A, agent),
+        Agent = A, Thing = B
+    ),
+    position(Agent, XA, YA, _),
+    node(Thing, object),
+    position(Thing, X, Y, _),
+    near_distance(Thing, Agent, Near),
+    ( size(Thing, SX, SY, _) -> Half is max(SX, SY)/2 ; Half = 0 ),
+    sqrt((X-XA)**2+(Y-YA)**2)-Half =< Near,
+    (   holds(in, Thing, Room),
+        node(Room, room),
+        holds(in, Agent, Room)
+    ->  Truth = true
+    ;   Truth = unknown
+    ).
 
 %   within(?A, ?B): A is in B, or in a room of the storey or building B, or in a storey of the building B.
 %   Whoever asks what is in a room does not mean the places in it: of these it is only told where they are.
@@ -475,6 +497,8 @@ possibly(gap(A, B, Gap)) :-
     !,
     mutual(gap, A, B, Value),
     ( Value == unknown -> true ; Gap = Value ).
+possibly(near(A, B)) :-
+    near_agent(A, B, _).
 possibly(in(A, B)) :-
     !,
     possibly_within(A, B).

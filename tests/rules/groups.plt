@@ -119,3 +119,19 @@ test(no_type_speaks_of_a_room_that_it_excludes, true(Odd == [])) :-
     findall(T, ( rooms:indispensable(T, _), \+ type_of_room(T) ), Odd).
 
 :- end_tests(excluded).
+
+:- begin_tests(near_an_agent, [setup(with([ node(agent_rob, agent), position(agent_rob, 0, 0, 0), label(agent_rob, robot),
+                                            node(r, room), node(q, room), edge(in, agent_rob, r, none, none, 1.0),
+                                            node(c, object), label(c, cup), position(c, 0.4, 0, 0.8), size(c, 0.1, 0.1, 0.1),
+                                            measured(footprint_share, c, r, 1.0),
+                                            node(b, object), label(b, bowl), position(b, 0, 0.4, 0.8), size(b, 0.1, 0.1, 0.1),
+                                            measured(footprint_share, b, q, 1.0),
+                                            node(t, object), label(t, table), position(t, 2.5, 0, 0.4), size(t, 1, 1, 0.7),
+                                            measured(footprint_share, t, r, 1.0) ]))]).
+
+test(in_its_room, true(Truth-Rows == true-[[c]])) :- asked("near(X, agent_rob)", Truth, Rows).
+test(the_other_way_round, true(Truth == true)) :- asked("near(agent_rob, cup)", Truth, _).
+test(a_wall_may_be_between, true(Truth == unknown)) :- asked("near(bowl, agent_rob)", Truth, _).
+test(too_far, true(Truth == false)) :- asked("near(table, agent_rob)", Truth, _).
+
+:- end_tests(near_an_agent).
