@@ -107,6 +107,10 @@ class FactStore:
                 self._about.setdefault(node, set()).add(key)
         return "\n".join(lines)
 
+    def measurements(self) -> set[str]:
+        """The names of what was measured, as the engine reads them."""
+        return {key[2] for key in self._lines if key[0] == "measured"}
+
     def text(self) -> str:
         """All facts, as the text of one change to an empty world."""
         return "\n".join([f"add({text})." for text in self._lines.values()])

@@ -206,7 +206,7 @@ class KnowledgeBase:
             remembered=self._facts.text,
             remembered_rules=lambda: {name: text for name, (text, _) in self._told.items()},
         )
-        self._watching = Watching(self._engine, self._facts, _reply)
+        self._watching = Watching(self._engine, self._facts, _reply, _union)
 
     def __enter__(self) -> KnowledgeBase:
         return self
@@ -396,6 +396,28 @@ def _reply(result: Term, elapsed_ms: float, explained: str | None = None) -> Rep
         explanation=_joined(explained, cast(Truth, str(truth)), children) if explained is not None else None,
         elapsed_ms=elapsed_ms,
     )
+
+
+def _union(replies: list[Reply], limit: int) -> Reply | None:
+    """The reply to a question of which these answer the parts; None where only the whole tells which answers there
+    are: more than the limit, with a problem, or with variables that have no value."""
+    if any(reply.problem is not None or reply.truncated for reply in replies):
+        return None
+    rows = {str([term_text(term) for term in row.values()]): row for reply in replies for row in reply.answers}
+    if len(rows) > limit or any(_has_variable(term) for row in rows.values() for term in row.values()):
+        return None
+    unknown = any(reply.truth == "unknown" for reply in replies)
+    return Reply(
+        truth="true" if rows else "unknown" if unknown else "false",
+        answers=tuple(rows.values()),
+        elapsed_ms=sum(reply.elapsed_ms for reply in replies),
+    )
+
+
+def _has_variable(term: Term) -> bool:
+    if isinstance(term, Compound | list):
+        return any(_has_variable(item) for item in (term.args if isinstance(term, Compound) else term))
+    return isinstance(term, Var)
 
 
 def _answers(names: Term, rows: Term) -> tuple[dict[str, Term], ...]:

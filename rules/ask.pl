@@ -1,5 +1,6 @@
 :- module(ask,
           [ ask/3,                      % +Text, +Options, -Reply
+            ask_as/4,                   % :Changed, +Text, +Options, -Reply
             call_trusted/4,             % +Text, +Limit, +Seconds, -Reply
             problem_of/2                % +Error, -Problem
           ]).
@@ -29,11 +30,20 @@ answers. Whatever goes wrong becomes problem(Code, Message, Hint).
 %   were more than Limit, `none` or a problem, and a list of explanations (empty
 %   unless Explain is true).
 
-ask(Text, options(Limit, Seconds, Inferences, Explain, Viewer), Reply) :-
+ask(Text, Options, Reply) :-
+    ask_as(=, Text, Options, Reply).
+
+%!  ask_as(:Changed, +Text:string, +Options, -Reply) is det.
+%
+%   As ask/3, of what call(Changed, Goal, Asked) makes of the checked goal.
+
+:- meta_predicate ask_as(2, +, +, -).
+
+ask_as(Changed, Text, options(Limit, Seconds, Inferences, Explain, Viewer), Reply) :-
     set_viewer(Viewer),
     get_time(Start),
     Deadline is Start+Seconds,
-    catch(read_goal(Text, Goal, Bindings, AllNames), Error, true),
+    catch(( read_goal(Text, Read, Bindings, AllNames), call(Changed, Read, Goal) ), Error, true),
     (   nonvar(Error)
     ->  problem_of(Error, Problem),
         Reply = reply(unknown, [], [], false, Problem, [])

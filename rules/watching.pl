@@ -7,6 +7,7 @@
 :- use_module(library(prolog_wrap)).
 :- use_module(facts).
 :- use_module(ask).
+:- use_module(goals, [read_goal/4]).
 
 /** <module> Asking, and noting which facts were read
 
@@ -20,11 +21,15 @@ change the answers.
 
 %!  ask_noting(+Watches:list, +Seconds, -Replies:list) is det.
 %
-%   Ask the goals of Watches, watch(Id, Text, Options) as in ask/3, one after
-%   the other until Seconds have passed; at least the first is asked. Replies is
-%   a list of asked(Id, Reply, Seconds, Reads): the time that it took, and for
+%   Ask the goals of Watches, watch(Id, Text, Options, Pin, Known) with Text and
+%   Options as in ask/3, one after the other until Seconds have passed; at least
+%   the first is asked. Pin is `any`, or pin(Things): only where the class that the
+%   goal begins with is one of these Things. Replies is a list of
+%   asked(Id, Reply, Seconds, Reads, Class): the time that it took, and for
 %   each predicate that was read a list of its name and the names that it was
-%   read with, `*` where none was given; `same` where it read as the last time.
+%   read with, `*` where none was given; `same` where it read as the last time and
+%   Known is `true`. Class is the one that the goal begins with, where it read so
+%   much that it is better asked for a few things at a time, else `none`.
 
 ask_noting(Watches, Seconds, Replies) :-
     get_time(Start),
@@ -36,14 +41,18 @@ ask_noting(Watches, Seconds, Replies) :-
         maplist(let_through, Facts)).
 
 ask_until([], _, []).
-ask_until([watch(Id, Text, Options)|Watches], Deadline, [asked(Id, Reply, Took, Reads)|Replies]) :-
+ask_until([watch(Id, Text, Options, Pin, Known)|Watches], Deadline, [asked(Id, Reply, Took, Reads, Class)|Replies]) :-
     get_time(Start),
     setup_call_cleanup(
         trie_new(Noted),
         ( nb_setval(watching_noted, Noted),
           forget_derived,
-          ask(Text, Options, Reply),
-          reads(Id, Noted, Reads) ),
+          ask_as(pinned(Pin), Text, Options, Reply),
+          reads(Id, Noted, Known, Reads, Number),
+          ( Pin == any, much(Much), Number > Much, catch(begins_with(Text, Class0), _, fail)
+          ->  Class = Class0
+          ;   Class = none
+          ) ),
         trie_destroy(Noted)),
     get_time(Now),
     Took is Now-Start,
@@ -107,18 +116,60 @@ names_in(Head, [A, B]) :-
 
 :- dynamic told_reads/2.                % Id, SHA-1 of the sorted look-ups
 
-%!  reads(+Id, +Noted, -Reads) is det.
+%!  reads(+Id, +Noted, +Known, -Reads, -Number) is det.
 %
-%   What was looked up, or `same` where that is what was told of Id before.
+%   What was looked up, or `same` where that is what was told of Id before and is
+%   Known; and how much it is.
 
-reads(Id, Noted, Reads) :-
+reads(Id, Noted, Known, Reads, Number) :-
     findall(Look, trie_gen(Noted, Look), Looks0),
+    length(Looks0, Number),
     sort(Looks0, Looks),
     variant_sha1(Looks, Hash),
-    (   told_reads(Id, Hash)
+    (   Known == true,
+        told_reads(Id, Hash)
     ->  Reads = same
     ;   retractall(told_reads(Id, _)),
         assertz(told_reads(Id, Hash)),
         group_pairs_by_key(Looks, Groups),
         findall([Predicate|Names], member(Predicate-Names, Groups), Reads)
     ).
+
+                /*******************************
+                *     A FEW THINGS AT A TIME   *
+                *******************************/
+
+%!  much(-Number) is det.
+%
+%   A goal that looks up more is asked for a few things at a time, if it can.
+
+:- dynamic much/1.
+much(1000).
+
+%   begins_with(+Text, -Class): a conjunction is begun with things of a class, cup(X) or near(cup, Y).
+begins_with(Text, Class) :-
+    read_goal(Text, Goal, _, _),
+    first_literal(Goal, Literal),
+    (   Literal = literal(instance_of(X, Class0), [], _),
+        var(X),
+        atom(Class0)
+    ->  Class = Class0
+    ;   Literal = literal(_, [_-Class|_], _)
+    ).
+
+first_literal(and(A, _), Literal) :- !,
+    first_literal(A, Literal).
+first_literal(Literal, Literal) :-
+    Literal = literal(_, _, _).
+
+%!  pinned(+Pin, +Goal, -Pinned) is det.
+
+pinned(any, Goal, Goal).
+pinned(pin(Things), Goal, and(plain(member(Thing, Things)), Rest)) :-
+    pinned_to(Goal, Thing, Rest).
+
+%   pinned_to(+Goal, -Thing, -Rest): Rest is Goal for a Thing of the class that it begins with.
+pinned_to(and(A, B), Thing, and(Rest, B)) :- !,
+    pinned_to(A, Thing, Rest).
+pinned_to(literal(Call, [Thing-_|Hidden], Visible), Thing, literal(Call, Hidden, Visible)) :- !.
+pinned_to(literal(instance_of(Thing, Class), [], Visible), Thing, literal(instance_of(Thing, Class), [], Visible)).

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from mapping.observations import LabelSpace
 from reasoning import Compound, KnowledgeBase, Reply
+from reasoning import watching as asking
 from reasoning.terms import term_text
 from scenegraph import watching
 from scenegraph.answers import Answers
@@ -21,7 +22,7 @@ from scenegraph.errors import GoalRefused
 from scenegraph.graph import Node
 from scenegraph.watching import AnswerChange, Watch, Watches, _Sought
 from scenegraph.world import World
-from tests.reasoning.homes import fact, small_home
+from tests.reasoning.homes import fact, pair, small_home
 
 
 def rows(reply: Reply) -> set[tuple[tuple[str, str], ...]]:
@@ -163,20 +164,34 @@ GOALS = [
 ]
 
 
+def at_most(desk: Desk, much: int) -> None:
+    """Ask goals that look up more than that for a few things at a time."""
+    desk.knowledge.call(f"retractall(watching:much(_)), assertz(watching:much({much}))")
+
+
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
-    goals=st.lists(st.sampled_from(GOALS), min_size=3, max_size=10, unique=True), story=st.lists(changes, max_size=6)
+    goals=st.lists(st.sampled_from(GOALS), min_size=3, max_size=10, unique=True),
+    story=st.lists(changes, max_size=6),
+    few=st.sampled_from([1, 2, 16]),
+    much=st.sampled_from([0, 0, 1000]),
+    limit=st.sampled_from([100, 3]),
 )
-def test_a_watch_answers_as_asking_anew_does(desk: Desk, goals: list[str], story: list[dict[str, Any]]) -> None:
+def test_a_watch_answers_as_asking_anew_does(
+    desk: Desk, goals: list[str], story: list[dict[str, Any]], much: int, limit: int, few: int
+) -> None:
+    """Also where goals that look up more than `much` are asked for a few things at a time."""
+    at_most(desk, much)
+    asking.AT_A_TIME = few
     desk.knowledge.update(forget=IDS, deleted=[fact("told", "lamp_broken"), fact("told", "visitor_here")])
     desk.knowledge.update(put=small_home())
-    watches = [desk.watch(goal) for goal in goals]
+    watches = [desk.watch(goal, limit=limit) for goal in goals]
     told: list[set[Any]] = [set() for _ in goals]
     try:
         for change in [{}, *story]:
             desk.change(**change)
             for known, watch in zip(told, watches, strict=True):
-                asked = desk.knowledge.ask(watch.goal, timeout_s=10.0)
+                asked = desk.knowledge.ask(watch.goal, timeout_s=10.0, limit=limit)
                 assert state(watch.answers.reply) == state(asked), watch.goal
                 for one in watch:
                     came, went = ({plain(row) for row in side} for side in (one.came, one.went))
@@ -187,6 +202,8 @@ def test_a_watch_answers_as_asking_anew_does(desk: Desk, goals: list[str], story
                 if asked.problem is None:
                     assert known == {plain(row) for row in watch.answers}
     finally:
+        asking.AT_A_TIME = 16
+        at_most(desk, 1000)
         for watch in watches:
             watch.close()
     assert not len(desk.watches)
@@ -268,6 +285,37 @@ def test_what_was_worked_out_for_another_goal_hides_nothing(desk: Desk) -> None:
         desk.change(put=[fact("label", "oven_1", "chair")])
         [change] = things
         assert [row["X"] for row in change.went] == ["room_1"], "without its oven it is no kitchen"
+
+
+def test_a_goal_about_many_things_is_asked_again_of_those_that_changed(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    knowledge, asked = desk.knowledge, list[Any]()
+    at_most(desk, 0)
+    monkeypatch.setattr(asking, "AT_A_TIME", 1)
+    with desk.watch("near(cup, X)") as changes:
+        desk.change(put=[fact("measured", "path_gap_upper", "cup_1", "oven_1", 0.35)])
+        at_most(desk, 1000)
+        settle, questions = knowledge.watching._settle, knowledge.watching._questions
+        monkeypatch.setattr(
+            knowledge.watching, "_settle", lambda n, *rest: asked.append(questions[n].pin) or settle(n, *rest)
+        )
+        [first] = changes
+        assert {row["X"] for row in first.came} == {"oven_1", "mug_1", "cup_1", "book_1"}, "a mug is a cup"
+        desk.change(put=pair("mug_1", "sofa_1", 0.2))
+        assert asked == [("mug_1",)]
+        assert [{row["X"] for row in change.came} for change in changes] == [{"sofa_1"}]
+        desk.change(put=[fact("label", "bowl_1", "cup"), *pair("bowl_1", "chair_1", 0.1)])
+        assert [{row["X"] for row in change.came} for change in changes] == [{"chair_1"}]
+        desk.change(forget=["mug_1"])
+        assert [{row["X"] for row in change.went} for change in changes] == [{"sofa_1", "book_1", "cup_1", "mug_1"}]
+        assert state(changes.answers.reply) == state(knowledge.ask("near(cup, X)"))
+        desk.change(put=[fact("label", thing, "chair") for thing in ("cup_1", "bowl_1")])
+        assert [change.truth for change in changes] == ["false"]
+        assert state(changes.answers.reply) == state(knowledge.ask("near(cup, X)"))
+    assert not len(knowledge.watching)
+    assert not knowledge.watching._questions
+    assert not knowledge.watching._reads._by_name
 
 
 def test_equal_goals_are_asked_once(desk: Desk) -> None:
