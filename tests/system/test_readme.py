@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 import scenegraph
 from mapping import read_octomap
 from reasoning.knowledge import KnowledgeBase
+from reasoning.labelling import PlaneRules
 from scenegraph.cli import app
 from scenegraph.config import WorldConfig
 from scenegraph.evaluation import Evaluation
@@ -132,10 +133,11 @@ def test_boxes_become_a_graph_as_the_readme_says(tmp_path, monkeypatch, capsys):
 
 
 def test_the_rules_of_the_readme_are_accepted(tmp_path):
-    [rules] = blocks("prolog")
-    (tmp_path / "mine.pl").write_text(rules)
+    words, planes = blocks("prolog")
+    (tmp_path / "mine.pl").write_text(words + planes)
     with KnowledgeBase([tmp_path / "mine.pl"]) as knowledge:
         assert knowledge.ask("in_danger(X)").problem is None
+        assert "sill" in PlaneRules.of(knowledge).labels
 
 
 @pytest.mark.parametrize("words", commands(), ids=" ".join)
