@@ -350,12 +350,18 @@ def plan(
     world: WorldName = "home",
     robot: Robot = None,
     timeout_s: Annotated[float, typer.Option(help="Give up after so many seconds.")] = 10.0,
+    domain: Annotated[
+        Path | None, typer.Option(help="With --map: a mapping to a PDDL domain of your own, TOML or JSON.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Say what a robot has to do to bring a goal about. Exit status 0: a plan, 1: none, or not known."""
     printer = Printer(json=as_json)
+    if domain is not None and map_path is None:
+        raise typer.BadParameter("--domain needs --map: a server plans in the household domain")
     with _opened(map_path, connect, world, graphs=True) as target:
-        found = target.plan(goal, robot=robot, timeout_s=timeout_s)
+        options = {} if domain is None else {"domain": domain}
+        found = target.plan(goal, robot=robot, timeout_s=timeout_s, **options)
     problem = plain_problem(found.problem)
     if as_json:
         printer.document(plain_plan(found))

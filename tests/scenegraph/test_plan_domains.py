@@ -8,12 +8,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from reasoning.planning.formulas import read_schemas
 from reasoning.planning.pddl import normalised
 from reasoning.planning.unified import DomainUnreadable, read_domain, read_problem
+from scenegraph.cli import app
 from scenegraph.errors import InvalidConfig
 from scenegraph.importing import GraphFile
+from scenegraph.interop import export_graph
 from scenegraph.planning.mapping import DomainMapping
 from tests.support.errands import large_home, small_flat
 
@@ -145,6 +148,9 @@ def test_a_mapping_of_a_few_lines_is_enough(flat: GraphFile, tmp_path: Path) -> 
     (tmp_path / "pair.toml").write_text(
         'domain = "pair.pddl"\n[types.thing]\nask = "object(X)"\n[goals]\non = "stacked(1, 2)"\n'
     )
+    path = export_graph(flat.graph, "json", tmp_path / "flat.json")
+    words = ["plan", "on(cup, table)", "--map", str(path), "--domain", str(tmp_path / "pair.toml"), "--json"]
+    assert json.loads(CliRunner().invoke(app, words).stdout)["steps"][0]["action"] == "stack"
     plan = flat.plan("on(cup, table)", domain=tmp_path / "pair.toml")
     assert [str(step) for step in plan] == ["stack(object_6, object_4)"]
     assert plan.validate() is None
