@@ -10,7 +10,7 @@ from pathlib import Path
 from mapping.geometry import SE3
 from mapping.observations import RobotDescription
 from reasoning.knowledge import KnowledgeBase, Problem
-from reasoning.planning import Planner, PlannerUnavailable, Task
+from reasoning.planning import Planner, PlannerUnavailable, Task, household
 from scenegraph.errors import GoalRefused, InvalidConfig
 from scenegraph.graph import Node, SceneGraph
 from scenegraph.places import PlaceFinder
@@ -136,6 +136,9 @@ class PlanDesk:
         if plan.task is None:
             problem = "there is no plan" if plan.problem is None else plan.problem.message
             return PlanCheck(False, (), (problem,))
+        if plan.task.domain != household():
+            told = f"plans in the domain {plan.task.domain.name} cannot be checked, only made anew"
+            return PlanCheck(False, (), (told,))
         robot = None if plan.robot is None else plan.robot.removeprefix("agent_")
         return check_plan(plan, self.situation(robot), done)
 

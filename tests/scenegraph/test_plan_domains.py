@@ -153,4 +153,5 @@ def test_a_mapping_of_a_few_lines_is_enough(flat: GraphFile, tmp_path: Path) -> 
     assert json.loads(CliRunner().invoke(app, words).stdout)["steps"][0]["action"] == "stack"
     plan = flat.plan("on(cup, table)", domain=tmp_path / "pair.toml")
     assert [str(step) for step in plan] == ["stack(object_6, object_4)"]
+    assert flat.verify(plan).reasons == ("plans in the domain pair cannot be checked, only made anew",)
     assert plan.validate() is None
