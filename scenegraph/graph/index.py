@@ -276,6 +276,9 @@ class GraphIndex:
     def labels(self) -> list[str]:
         return list(self._by_label)
 
+    def n_labelled(self, label: str) -> int:
+        return len(self._by_label.get(label, ()))
+
     # -- edges --------------------------------------------------------------------------------------------------------
 
     def put_edge(self, edge: Edge) -> None:

@@ -127,6 +127,10 @@ class SceneGraph:
         """The labels that any node has."""
         return self._index.labels()
 
+    def n_labelled(self, label: str) -> int:
+        """How many nodes have a label."""
+        return self._index.n_labelled(label)
+
     @property
     def n_edges(self) -> int:
         """Number of edges."""

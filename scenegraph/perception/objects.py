@@ -198,7 +198,8 @@ class Objects:
                 if self.labels.get(i) == label and i in graph and i in self._instance_of
             ]
             now = {i: put[i] if i in put else graph.node(i) for i in came}
-            settled = self.reappearance.settle([(now[i], self._looks[i]) for i in came], suspects, stamp_ns)
+            there = graph.n_labelled(label) - sum(i in graph and new[i].was is None for i in came)
+            settled = self.reappearance.settle([(now[i], self._looks[i]) for i in came], suspects, stamp_ns, there)
             if settled:
                 self._rename(settled, now, instances, graph, stamp_ns, changes, reshaped)
 

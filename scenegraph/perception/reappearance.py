@@ -30,9 +30,12 @@ COLORS = 0.1
 """… and their colours are so far apart, at one standard deviation each. Of 1036 loose things of simulated homes that
 were mapped on two tours from nothing, one in twenty was farther from itself than 0.14, and three quarters of the others
 of their class farther than 0.27; sizes tell less: half of the others are as alike as nine in ten to themselves."""
-MOST_UNLIKE = 11.0
+MOST_UNLIKE = 13.0
 """No more than this is taken for the same thing: seen badly on one tour, a thing is unlike itself by up to 7, where it
-was carried elsewhere by 3 to 5 more; other things of its class are mostly unlike it by more."""
+was carried elsewhere by 3 to 5 more; …"""
+COMMON = 1.5
+"""… less by this times the natural logarithm of how many things of the class are known: the only microwave comes back
+with another side to the front, but one book of many is soon like another."""
 ELSEWHERE = 3.0
 FAR = 3.0
 FAR_M = 8.0
@@ -115,20 +118,23 @@ class Reappearance:
             del self.newcomers[oldest]
 
     def settle(
-        self, came: Sequence[tuple[Node, Look]], doubted: Sequence[tuple[Node, Look]], stamp_ns: int
+        self, came: Sequence[tuple[Node, Look]], doubted: Sequence[tuple[Node, Look]], stamp_ns: int, there: int = 0
     ) -> dict[str, Absent | None]:
         """What newcomers of one class, as they look now, are otherwise than was thought: their node id → what each was
         before; None: nothing that is known.
 
         doubted : things of that class that at least one look did not find where they were
+        there : how many things of that class are known to be somewhere, the doubted too
         """
         arrivals = [self.newcomers[node.id] for node, _ in came]
         gone = {one.was.node.id: one.was for one in arrivals if one.was is not None}
-        gone |= {
+        missed = {
             one.node.id: one
             for one in self.absent.values()
             if one.node.label == came[0][0].label and stamp_ns - one.left_ns <= WINDOW_S * 1e9
         }
+        most_unlike = MOST_UNLIKE - COMMON * np.log(max(1, there + len(missed)))
+        gone |= missed
         sure = len(gone)
         gone |= {node.id: Absent(node, look, stamp_ns) for node, look in doubted if node.id not in gone}
         known = list(gone.values())
@@ -136,7 +142,7 @@ class Reappearance:
             return {}
         gain = np.zeros((len(came), len(known)))
         for row, ((node, look), arrival) in enumerate(zip(came, arrivals, strict=True)):
-            gain[row] = MOST_UNLIKE - look.unlike([one.look for one in known]) - _away(node, known)
+            gain[row] = most_unlike - look.unlike([one.look for one in known]) - _away(node, known)
             gain[row, sure:] -= DOUBTED
             gain[row] += [SETTLED * (one is arrival.was) for one in known]
             gain[row, [one.node.last_seen_ns >= arrival.came_ns for one in known]] = 0.0

@@ -343,6 +343,7 @@ def consistent(graph: SceneGraph) -> bool:
         and all(keys(graph.edges(source=n.id)) == {tuple(e.key) for e in edges if e.source == n.id} for n in graph)
         and all(keys(graph.edges(target=n.id)) == {tuple(e.key) for e in edges if e.target == n.id} for n in graph)
         and {n.id for label in graph.labels() for n in graph.nodes(label=label)} == {n.id for n in graph}
+        and all(graph.n_labelled(label) == len(graph.nodes(label=label)) for label in (*graph.labels(), "unheard of"))
         and not any(stone.id in graph for stone in graph.tombstones())
     )
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from mapping.colors import no_colors
 from scenegraph.graph import Box, Node
 from scenegraph.perception.reappearance import (
+    COMMON,
     ELSEWHERE,
     FAR,
     FAR_M,
@@ -53,12 +54,14 @@ def node(name: str, label: str = "cup", at: float = 0.0, first: int = 0, last: i
     )
 
 
-def settled(found: Reappearance, *came: tuple[Node, Look], doubted: tuple[tuple[Node, Look], ...] = ()) -> dict:
+def settled(
+    found: Reappearance, *came: tuple[Node, Look], doubted: tuple[tuple[Node, Look], ...] = (), there: int = 0
+) -> dict:
     """Node id → the id of what it is now thought to be, of those of which something else was thought."""
     for one, _ in came:
         if one.id not in found.newcomers:
             found.arrive(one, LATER)
-    return {i: was and was.node.id for i, was in found.settle(came, doubted, LATER).items()}
+    return {i: was and was.node.id for i, was in found.settle(came, doubted, LATER, there).items()}
 
 
 @pytest.fixture
@@ -103,6 +106,22 @@ def test_what_was_looked_for_in_vain_may_be_what_came_but_rather_what_has_gone(k
     assert settled(known, new, doubted=(doubted,)) == {"object_9": "object_1"}
 
 
+@given(st.floats(0.0, 1.0), st.floats(0.0, 9.0), st.integers(0, 100), st.integers(1, 100))
+def test_the_more_of_a_class_there_are_the_more_alike_the_same_thing_must_be(mixed, at, there, more):
+    def same(there: int) -> bool:
+        gone = Reappearance()
+        gone.leave(node("object_1"), look(), 20)
+        return bool(settled(gone, (node("object_9", at=at, first=15), look(mixed=mixed)), there=there))
+
+    assert same(there) or not same(there + more)
+
+
+def test_the_only_one_of_its_class_comes_back_from_another_side_and_one_of_many_does_not(known):
+    new = (node("object_9", at=3.0, first=15), look(mixed=0.7))
+    assert settled(known, new, there=30) == {}
+    assert settled(known, new) == {"object_9": "object_1"}
+
+
 @given(st.lists(st.tuples(st.floats(0.0, 0.2), st.floats(0.0, 6.0)), min_size=1, max_size=3), st.randoms())
 def test_all_that_came_and_all_that_has_gone_fit_together_as_well_as_can_be(looks, random):
     gone = Reappearance()
@@ -116,11 +135,11 @@ def test_all_that_came_and_all_that_has_gone_fit_together_as_well_as_can_be(look
     def gain(new: tuple[Node, Look], old: tuple[Node, Look]) -> float:
         alone = Reappearance()
         alone.leave(*old, 20)
-        if not settled(alone, new):
+        if not settled(alone, new, there=len(before) - 1):
             return 0.0
         way = abs(float(new[0].position[0] - old[0].position[0]))
         away = ELSEWHERE * min(way / SAME_PLACE_M, 1.0) + FAR * min(way / FAR_M, 1.0)
-        return MOST_UNLIKE - float(new[1].unlike([old[1]])[0]) - away
+        return MOST_UNLIKE - COMMON * np.log(len(before)) - float(new[1].unlike([old[1]])[0]) - away
 
     table = np.array([[gain(new, old) for old in before] for new in came])
     best = max(sum(table[row, column] for row, column in enumerate(order)) for order in permutations(range(len(came))))
