@@ -414,6 +414,7 @@ MODELS: dict[str, type[BaseModel]] = {
 """Every model that may travel, by the name its encoding carries."""
 
 _WITH_ARRAYS = (Observation, MapQuery, MapValues)
+_LARGE = (Value, AskReply)
 
 
 def plain(value: Any) -> Any:
@@ -459,7 +460,7 @@ def decode(data: bytes, model: str, encoding: str = "", limits: Limits = LIMITS)
         raise InvalidMessage(f"expected {model}, but the encoding says {told[:60]}", field="encoding")
     kind = MODELS[model]
     try:
-        if form == "json" and issubclass(kind, Value):  # large, without arrays, and from our own server
+        if form == "json" and issubclass(kind, _LARGE):  # without arrays, and from our own server
             return kind.model_validate_json(data)
         value = loads(data, form, limits)
         if not isinstance(value, dict):
