@@ -22,7 +22,7 @@ from tests.support.net import free_endpoint
 from tests.support.racing import Table, race
 from tests.support.told_building import furnished_world
 
-ROOMS = (10, 100)
+ROOMS = (10, 100, 1000)
 QUESTIONS = {  # what is asked → how many answers at least, ms at 10 000 objects
     "on(object_27, X)": (1, 1.0),
     "near(X, oven)": (1, 2.0),
