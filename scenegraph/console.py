@@ -7,12 +7,15 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 from rich.tree import Tree
+
+from reasoning.knowledge import Test
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -394,11 +397,6 @@ def _fact(fact: Any) -> str:
 
 
 def _test(test: Mapping[str, Any]) -> str:
-    """A comparison: `gap = 0.31 m =< 0.5 m (near_distance)`."""
-    unit = " m" if test.get("unit") == "metre" else ""
-    told = f"{test.get('measurement')} = {shown(test.get('value'))}{unit}"
-    limit, name = test.get("threshold"), test.get("threshold_name")
-    if limit is None or test.get("comparison") == "=":
-        return told
-    named = "" if name in (None, "nothing") else f" ({shown(name)})"
-    return f"{told} {test.get('comparison')} {shown(limit)}{unit}{named}"
+    """How a comparison turned out: `gap 0.31 m =< 0.5 m (near_distance)`."""
+    parts: dict[str, Any] = {field.name: test.get(field.name) for field in fields(Test)}
+    return str(Test(**parts))
