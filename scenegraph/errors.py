@@ -89,6 +89,8 @@ class InvalidStatement(SceneGraphError, ValueError):
 class GoalRefused(SceneGraphError):
     """A goal cannot be watched or planned for. `code`, message and hint are those of the problem that it has."""
 
+    code = "goal_refused"
+
     def __init__(self, code: str, message: str, hint: str | None = None) -> None:
         super().__init__(message, hint=hint)
         self.code = code  # type: ignore[misc]
