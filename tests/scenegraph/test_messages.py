@@ -14,7 +14,7 @@ import cbor2
 import numpy as np
 import pytest
 import zstandard
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
@@ -286,6 +286,7 @@ def test_a_truncated_message_is_refused_wherever_it_ends(observation, form):
     st.sampled_from(("application/cbor", "application/json", "")),
 )
 def test_garbage_is_refused_with_one_clear_error(data, model, encoding):
+    assume(data.strip() not in (b"{}", b"\xa0"))  # an empty mapping may mean the defaults
     with pytest.raises((InvalidMessage, InvalidObservation)) as caught:
         decode(data, model, encoding)
     assert str(caught.value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import tempfile
 from collections import Counter
@@ -287,7 +288,7 @@ def test_whatever_is_damaged_in_a_file_is_refused_in_one_line(name: str, graph: 
         if choice.random() < 0.2:
             del place[last]
         else:
-            place[last] = choice.choice(JUNK)
+            place[last] = copy.deepcopy(choice.choice(JUNK))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "graph.json"
         path.write_text(json.dumps(document))
